@@ -1,0 +1,127 @@
+"""One self-contained HTML page that says what came out of a run, with its figures beside it."""
+
+from __future__ import annotations
+
+import base64
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import jinja2
+import numpy as np
+from matplotlib.figure import Figure
+
+from .figures import png
+
+REPORT = "report.html"
+
+
+@dataclass(frozen=True)
+class KeyNumber:
+    """One number worth a line.
+
+    Attributes:
+        label: What it is.
+        value: The number, or text.
+        unit: Its unit, may be empty.
+        explanation: One sentence that says how to read it.
+    """
+
+    label: str
+    value: float | str
+    unit: str
+    explanation: str
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One inferred parameter: median and 95 % interval in ``unit``."""
+
+    name: str
+    median: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class ReportFigure:
+    """A figure: name of its PNG file, the drawing (or PNG bytes), and one sentence that says what it shows."""
+
+    file: str
+    image: Figure | bytes
+    caption: str
+
+
+@dataclass(frozen=True)
+class ReportContent:
+    """What a report says.
+
+    Attributes:
+        title: What was done to what.
+        headline: The verdict in one sentence.
+        status: ``good``, ``warning`` or ``bad``; colours the headline.
+        numbers: Key numbers.
+        parameters: Inferred parameters; the table is left out if there are none.
+        figures: Figures in reading order.
+        details: How it was computed: settings, versions, seeds, machine.
+        further: Where to read on: pairs of a file, command or page and what it holds.
+    """
+
+    title: str
+    headline: str
+    status: Literal["good", "warning", "bad"]
+    numbers: list[KeyNumber]
+    parameters: list[ParameterRow] = field(default_factory=list)
+    figures: list[ReportFigure] = field(default_factory=list)
+    details: dict[str, object] = field(default_factory=dict)
+    further: list[tuple[str, str]] = field(default_factory=list)
+
+
+def write_report(folder: str | Path, content: ReportContent) -> Path:
+    """Write ``report.html`` and the figures' PNG files into an existing folder; return the page's path.
+
+    All text is escaped; the page loads nothing from elsewhere.
+
+    Raises:
+        ValueError: A figure's file name is no plain ``.png`` name.
+    """
+    out = Path(folder)
+    images = []
+    for item in content.figures:
+        if Path(item.file).name != item.file or not item.file.endswith(".png"):
+            raise ValueError(f"figure file {item.file!r}: a plain name that ends in .png is needed")
+        data = item.image if isinstance(item.image, bytes) else png(item.image)
+        (out / item.file).write_bytes(data)
+        images.append((item, base64.b64encode(data).decode("ascii")))
+    page = out / REPORT
+    page.write_text(_template().render(content=content, images=images), encoding="utf-8")
+    return page
+
+
+def number(value: object, digits: int = 3) -> str:
+    """Write a number for a reader: ``digits`` significant ones, no exponent where it can be avoided."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        return str(value)
+    if not math.isfinite(value):
+        return "not finite"
+    if value == 0 or 1e-4 <= abs(value) < 1e6:
+        if isinstance(value, (int, np.integer)):
+            return str(value)
+        places = digits - 1 - math.floor(math.log10(abs(value))) if value else 0
+        return f"{value:.{max(places, 0)}f}"
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    return f"{mantissa} × 10^{int(exponent)}"
+
+
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = number
+    return environment.get_template("identify.html.j2")

@@ -1,0 +1,65 @@
+"""Arrays of reals for many worlds, owned by Warp and seen by torch and NumPy without a copy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from ..kernels.layout import layout_of
+from .tree import Array
+
+COMPONENTS = {"Real": 1, "Vec": 3, "Quat": 4, "Sym": 6, "Mat": 9}
+
+
+class LaneArray:
+    """One field of every link of every world.
+
+    Memory is [group, place, component, lane] on a CPU (worlds of a group side by side in vector registers) and
+    [place, group, component, lane] on a GPU (neighbouring threads touch neighbouring memory). Kernels index both as
+    [group, place].
+
+    Attributes:
+        kernel: The Warp array of structs that kernels take, shape [groups, places].
+        torch: View [groups, lanes, places, components] on the same memory; its pointer never changes.
+    """
+
+    def __init__(
+        self, kind: str, groups: int, places: int, *, width: int = 1, precision: int = 32, device: Any = None
+    ) -> None:
+        self.device = wp.get_device(device)
+        self.width, self.components = width, COMPONENTS[kind]
+        scalar = wp.float64 if precision == 64 else wp.float32
+        self._link_major = self.device.is_cuda
+        shape = (places, groups) if self._link_major else (groups, places)
+        self._memory = wp.zeros((*shape, self.components, width), dtype=scalar, device=self.device)
+        struct = getattr(layout_of(width, precision), kind)
+        view = wp.array(ptr=self._memory.ptr, shape=shape, dtype=struct, device=self.device)
+        self.kernel = view.transpose() if self._link_major else view
+        seen = wp.to_torch(self._memory)
+        self.torch: torch.Tensor = seen.permute(1, 3, 0, 2) if self._link_major else seen.permute(0, 3, 1, 2)
+
+    def column(self) -> wp.array:
+        """Return the kernel view [groups] of an array of one place."""
+        return wp.array(ptr=self._memory.ptr, shape=self.kernel.shape[0], dtype=self.kernel.dtype, device=self.device)
+
+    def entries(self) -> wp.array:
+        """Return the view [groups, places, components, lanes] of the scalars themselves."""
+        return self._memory.transpose((1, 0, 2, 3)) if self._link_major else self._memory
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the memory in bytes."""
+        return int(self._memory.size) * wp.types.type_size_in_bytes(self._memory.dtype)
+
+    def numpy(self) -> Array:
+        """Return a host copy, shape [slots, places, components], float64."""
+        t = self.torch.detach().cpu().to(torch.float64).numpy()
+        return t.reshape(-1, *t.shape[2:]).copy()
+
+    def assign(self, values: Array) -> None:
+        """Write host values of shape [slots, places, components]."""
+        host = torch.from_numpy(np.ascontiguousarray(values)).reshape(self.torch.shape)
+        self.torch.copy_(host.to(self.torch.dtype))

@@ -1,0 +1,18 @@
+"""The one error a user meets: where it is, what was found, what is allowed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class InputError(ValueError):
+    """Bad input from outside: a file, a field, an option.
+
+    Its text is one line, ``file: place: found; allowed``, printed as it is by the command line, which then exits
+    with code 2.
+    """
+
+    def __init__(self, source: str | Path, place: str, found: str, allowed: str) -> None:
+        self.source, self.place, self.found, self.allowed = str(source), place, found, allowed
+        parts = [str(source), place, f"found {found}; allowed: {allowed}"]
+        super().__init__(" ".join(": ".join(p for p in parts if p).split()))

@@ -1,0 +1,89 @@
+"""Launching group kernels: in one piece on a GPU, split over threads on a CPU."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..kernels.layout import layout_of
+from .arrays import LaneArray
+from .host import num_threads
+from .model import Model
+
+_SCRATCH = {
+    "pose": "Quat", "r": "Vec", "relative": "Vec", "spin": "Vec", "alpha0": "Vec", "accel0": "Vec", "A": "Sym",
+    "B": "Mat", "M": "Sym", "n": "Vec", "f": "Vec", "D": "Sym", "U": "Mat", "u": "Vec", "alpha": "Vec", "accel": "Vec",
+}  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(num_threads(), thread_name_prefix="bough")
+
+
+class Launcher:
+    """Launches kernels over the groups of a model.
+
+    On a CPU every thread takes a run of groups and works in a scratch row of its own, which stays in its cache; Warp's
+    launch releases the GIL. On a GPU every group has its row.
+
+    Attributes:
+        scratch: The kernels' working memory (`kernels.layout` Scratch).
+    """
+
+    def __init__(self, model: Model, threads: int | None = None) -> None:
+        self.model, self.device = model, model.device
+        cuda = self.device.is_cuda
+        wanted = num_threads() if threads is None else threads
+        self.threads = 1 if cuda else max(1, min(wanted, model.groups))
+        self._rows = model.groups if cuda else self.threads
+        cuts = np.linspace(0, model.groups, self.threads + 1).astype(int)
+        self._ranges = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
+        self._fields = {name: self._field(kind) for name, kind in _SCRATCH.items()}
+        self.scratch = layout_of(model.width, model.precision).Scratch()
+        for name, field in self._fields.items():
+            setattr(self.scratch, name, field.kernel)
+
+    def _field(self, kind: str) -> LaneArray:
+        m = self.model
+        return LaneArray(kind, self._rows, m.places + 1, width=m.width, precision=m.precision, device=self.device)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the scratch memory."""
+        return sum(f.nbytes for f in self._fields.values())
+
+    def prepare(self, kernel: Any, before: Sequence[Any], after: Sequence[Any], *, split: bool = True) -> Callable[[], None]:
+        """Return a function that launches ``kernel(*before, scratch, first, row, *after)`` over all groups.
+
+        Launches are recorded once, so that a call costs microseconds and allocates nothing. With ``split`` false all
+        groups run on the calling thread, as a graph capture needs.
+        """
+        kernel.module.load(self.device)
+        threads = self.threads if split else 1
+        ranges = self._ranges if split else [(0, self.model.groups)]
+        commands = [
+            wp.launch(
+                kernel,
+                dim=b - a,
+                inputs=[*before, self.scratch, a, -1 if self.device.is_cuda else row, *after],
+                device=self.device,
+                record_cmd=True,
+            )
+            for row, (a, b) in enumerate(ranges)
+        ]
+        if threads == 1:
+            return commands[0].launch
+        return lambda: _together(commands)
+
+
+def _together(commands: Sequence[Any]) -> None:
+    waiting = [_pool().submit(c.launch) for c in commands[1:]]
+    commands[0].launch()
+    for future in waiting:
+        future.result()

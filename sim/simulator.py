@@ -1,0 +1,265 @@
+"""The simulator: steps a batch of worlds, resets them, looks at them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+import warp as wp
+
+from ..kernels.layout import layout_of
+from ..kernels.observe import observe_kernels
+from ..kernels.reset import reset_kernels
+from ..kernels.stability import damping_kernel
+from ..kernels.step import step_kernels
+from . import rotation
+from .errors import InputError
+from .launcher import Launcher
+from .model import Model
+from .state import State
+from .tree import Array
+
+
+class Simulator:
+    """Steps all worlds of a model together.
+
+    The integrator is semi-implicit Euler with implicit dampers; a joint's spring is implicit by the smallest share
+    that keeps the step stable (`kernels.stability`), which is none where MuJoCo's ``implicitfast`` is stable too.
+
+    Attributes:
+        model, state: The worlds.
+        dt: Length of one call of `step` [s], taken in ``substeps`` equal parts.
+        position, rotation: Body frames of all worlds after `observe`, torch views [worlds, links, 3] in m and
+            [worlds, links, 4] as w, x, y, z; links in the order of each world's tree.
+    """
+
+    #: Share of the articulated inertia that explicit springs may use up before they are made implicit.
+    MARGIN = 0.5
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        dt: float = 1.0 / 240.0,
+        substeps: int = 1,
+        threads: int | None = None,
+        max_speed: float | None = None,
+    ) -> None:
+        """Allocate everything that stepping needs.
+
+        Args:
+            model: The worlds.
+            dt: Step [s].
+            substeps: Equal parts that a step is taken in.
+            threads: CPU threads; None takes all cores.
+            max_speed: Joint speed [rad/s or m/s] at which the guard freezes a world; None takes half a turn a substep.
+
+        Raises:
+            InputError: ``dt``, ``substeps`` or ``max_speed`` is not positive.
+        """
+        for name, value in (("dt", dt), ("substeps", substeps), ("max_speed", 1.0 if max_speed is None else max_speed)):
+            if not (math.isfinite(value) and value > 0):
+                raise InputError("simulator", name, str(value), "a number above zero")
+        self.model, self.state = model, State(model)
+        self.dt, self.substeps = float(dt), int(substeps)
+        self.max_speed = math.pi * substeps / dt if max_speed is None else float(max_speed)
+        self._launcher = Launcher(model, threads)
+        self._kernels = step_kernels(model.width, model.precision)
+        self._looks = observe_kernels(model.width, model.precision)
+        self._steps: dict[tuple[int, bool], Callable[[], None]] = {}
+        self._load = None
+        self._index_slots()
+        self._allocate_outputs()
+        self._start = {name: model.field(kind) for name, kind in (("coordinate", "Quat"), ("velocity", "Vec"))}
+        self._everyone = torch.ones(model.num_worlds, dtype=torch.bool, device=self.state.fault_link.device)
+        self._dynamics = self._dynamic_model()
+        self.refresh()
+        self.mark_start()
+
+    # ---- memory --------------------------------------------------------------------------------------------------
+
+    def _index_slots(self) -> None:
+        m = self.model
+        world = np.full(m.groups * m.width, -1, np.int32)
+        world[m.world_slot] = np.arange(m.num_worlds)
+        link = np.full((len(world), m.places + 1), -1, np.int32)
+        link[m.link_slot, m.link_place] = np.arange(len(m.link_slot)) - m.first_link[m.links.world]
+        self._slot_world = wp.array(world, dtype=int, device=m.device)
+        self._slot_link = wp.array(link, dtype=int, device=m.device)
+
+    def _allocate_outputs(self) -> None:
+        m = self.model
+        scalar = wp.float64 if m.precision == 64 else wp.float32
+        self._out3, self._out4 = wp.types.vector(3, scalar), wp.types.vector(4, scalar)
+        shape = (m.num_worlds, max(t.num_links for t in m.trees))
+        self._position = wp.zeros(shape, dtype=self._out3, device=m.device)
+        self._rotation = wp.zeros(shape, dtype=self._out4, device=m.device)
+        self.position: torch.Tensor = wp.to_torch(self._position)
+        self.rotation: torch.Tensor = wp.to_torch(self._rotation)
+        self._energy = wp.zeros((m.num_worlds, 3), dtype=scalar, device=m.device)
+        self._momentum = wp.zeros((m.num_worlds, 2), dtype=self._out3, device=m.device)
+        frame, anchor = m.field("Quat"), m.field("Vec")
+        frame.assign(m.scatter(rotation.conjugate(m.links.frame), [1.0, 0.0, 0.0, 0.0]))
+        anchor.assign(m.scatter(m.links.anchor, [0.0, 0.0, 0.0]))
+        self._bodies = (anchor, frame)
+
+    def _dynamic_model(self) -> object:
+        """Copy the model's struct with a damping array of its own: physical plus what the springs' share amounts to."""
+        self._damping = self.model.field("Real")
+        struct = layout_of(self.model.width, self.model.precision).Model()
+        for name in self.model.kernel._cls.vars:
+            setattr(struct, name, getattr(self.model.kernel, name))
+        struct.damping = self._damping.kernel
+        return struct
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of state and parameters on the device, scratch included."""
+        return self.model.nbytes + self.state.nbytes + self._damping.nbytes + self._launcher.nbytes
+
+    # ---- stepping ------------------------------------------------------------------------------------------------
+
+    def refresh(self) -> None:
+        """Find each joint's implicit share anew, at the springs' rest and at the present pose.
+
+        Needed after stiffness, damping, masses or geometry of the model have changed.
+        """
+        self._damping.torch.copy_(self.model.arrays["damping"].torch)
+        rest = State(self.model)
+        kernel = damping_kernel(self.model.width, self.model.precision)
+        for state in (rest, self.state):
+            after = [self.dt / self.substeps, self.MARGIN, self._damping.kernel]
+            self._launcher.prepare(kernel, [self.model.kernel, state.kernel], after)()
+
+    def step(self, count: int = 1) -> None:
+        """Advance all worlds by ``count`` steps of ``dt``."""
+        key = (count, True)
+        if key not in self._steps:
+            self._steps[key] = self._prepare_step(count, split=True)
+        self._steps[key]()
+
+    def _prepare_step(self, count: int, *, split: bool) -> Callable[[], None]:
+        after = [count * self.substeps, self.dt / self.substeps, self.max_speed]
+        before = [self._dynamics, self.state.kernel]
+        if self._load is None:
+            return self._launcher.prepare(self._kernels.step, before, after, split=split)
+        return self._launcher.prepare(self._kernels.step_loaded, [*before, self._load[0]], after, split=split)
+
+    def capture(self, count: int = 1) -> Callable[[], None]:
+        """Return a function that replays ``count`` steps and an observation as one graph (CPU and GPU)."""
+        step = self._prepare_step(count, split=False)
+        look = self._prepare_look(split=False)
+        with wp.ScopedCapture(device=self.model.device) as scope:
+            step()
+            look()
+        return lambda: wp.capture_launch(scope.graph)
+
+    def apply_forces(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the forces [N, world axes] on every link and the points [m, link frame] they act at, to be written.
+
+        Both are views [groups, lanes, places + 1, 3] of the memory that the next steps read.
+        """
+        if self._load is None:
+            force, point = self.model.field("Vec"), self.model.field("Vec")
+            struct = layout_of(self.model.width, self.model.precision).Load()
+            struct.force, struct.point = force.kernel, point.kernel
+            self._load = (struct, force, point)
+            self._steps.clear()
+        return self._load[1].torch, self._load[2].torch
+
+    # ---- resets --------------------------------------------------------------------------------------------------
+
+    def mark_start(self) -> None:
+        """Take the present state as the one that `reset` returns to."""
+        self._start["coordinate"].torch.copy_(self.state.coordinate.torch)
+        self._start["velocity"].torch.copy_(self.state.velocity.torch)
+
+    def reset(self, mask: torch.Tensor | None = None) -> None:
+        """Put the masked worlds (bool, [worlds]; None is all) back to their start and clear their faults."""
+        chosen = wp.from_torch(self._everyone if mask is None else mask.contiguous(), dtype=wp.bool)
+        kernels, m = reset_kernels(self.model.precision), self.model
+        for name, stored in self._start.items():
+            field = getattr(self.state, name).entries()
+            inputs = [chosen, self._slot_world, stored.entries(), field]
+            wp.launch(kernels.restore, dim=(m.groups, m.places + 1), inputs=inputs, device=m.device)
+        inputs = [chosen, self._slot_world, self.state.alive.entries(), self.state._fault_link, self.state._fault_tick]
+        wp.launch(kernels.revive, dim=m.groups * m.width, inputs=inputs, device=m.device)
+
+    # ---- looking -------------------------------------------------------------------------------------------------
+
+    def observe(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Write body frames into `position` and `rotation` and return both."""
+        if not hasattr(self, "_look"):
+            self._look = self._prepare_look(split=True)
+        self._look()
+        return self.position, self.rotation
+
+    def _prepare_look(self, *, split: bool) -> Callable[[], None]:
+        anchor, frame = self._bodies
+        before = [self.model.kernel, self.state.kernel, anchor.kernel, frame.kernel, self._slot_world, self._slot_link]
+        return self._launcher.prepare(self._looks.poses, before, [self._position, self._rotation], split=split)
+
+    def energy(self) -> tuple[Array, Array]:
+        """Return energies [worlds, 3] (kinetic, gravitational, springs) [J] and momenta [worlds, 2, 3].
+
+        Momenta are linear [kg m/s] and angular about the origin [kg m^2/s]. Pre-loads have no energy here.
+        """
+        before = [self.model.kernel, self.state.kernel, self._slot_world]
+        self._launcher.prepare(self._looks.energy, before, [self._energy, self._momentum])()
+        return self._energy.numpy().astype(np.float64), self._momentum.numpy().astype(np.float64)
+
+    def probes(self, points: Sequence[Sequence[tuple[int, Array]]]) -> Probes:
+        """Return a recorder of points fixed to links: for every world, (link, point in the body frame [m]) pairs.
+
+        Every world has the same number of probes.
+        """
+        return Probes(self, points)
+
+
+class Probes:
+    """Positions and velocities of points fixed to links.
+
+    Attributes:
+        position, velocity: Torch views [worlds, probes, 3], in m and m/s, after `read`.
+    """
+
+    def __init__(self, simulator: Simulator, points: Sequence[Sequence[tuple[int, Array]]]) -> None:
+        m = simulator.model
+        count = len(points[0])
+        place = np.zeros((m.groups * m.width, count), np.int32)
+        local = np.zeros((m.groups * m.width, count, 3))
+        for world, chosen in enumerate(points):
+            for j, (link, point) in enumerate(chosen):
+                n = m.first_link[world] + link
+                place[m.world_slot[world], j] = m.link_place[n]
+                arm = np.asarray(point, np.float64) - m.links.anchor[n]
+                local[m.world_slot[world], j] = rotation.rotate(rotation.conjugate(m.links.frame[n]), arm)
+        self._place = wp.array(_per_group(place, m.width), dtype=int, device=m.device)
+        self._local = m.field("Vec", places=count)
+        self._local.assign(local)
+        self._position = wp.zeros((m.num_worlds, count), dtype=simulator._out3, device=m.device)
+        self._velocity = wp.zeros((m.num_worlds, count), dtype=simulator._out3, device=m.device)
+        self.position: torch.Tensor = wp.to_torch(self._position)
+        self.velocity: torch.Tensor = wp.to_torch(self._velocity)
+        before = [m.kernel, simulator.state.kernel, self._place, self._local.kernel, simulator._slot_world]
+        self._read = simulator._launcher.prepare(simulator._looks.probes, before, [self._position, self._velocity])
+
+    def read(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Write and return `position` and `velocity`."""
+        self._read()
+        return self.position, self.velocity
+
+
+def _per_group(place: Array, width: int) -> Array:
+    """Return the places of each group's probes; the worlds of a group share them.
+
+    Raises:
+        InputError: Worlds of one group have their probes at different places.
+    """
+    rows = place.reshape(-1, width, place.shape[1])
+    shared = rows.max(axis=1)
+    if not ((rows == shared[:, None]) | (rows == 0)).all():
+        raise InputError("probes", "link", "different places in worlds that share a thread", "Model(..., width=1)")
+    return shared

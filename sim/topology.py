@@ -1,0 +1,165 @@
+"""Link order and grouping: which worlds share a thread, and where each link of each tree sits in it.
+
+A tree's links are put into one order that depends on the tree alone: depth first, siblings by kind of joint and then
+by size of their subtrees. Trees of one group are overlaid child by child; a world leaves the links it lacks masked.
+Since siblings keep their order, every sum over children is made in the same order alone and in any group.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .tree import IntArray, Tree
+
+
+@dataclass
+class Node:
+    """One place of an overlay: the kind of its joint and its children. ``link`` is the tree's own index."""
+
+    kind: int
+    link: int = -1
+    children: list[Node] = field(default_factory=list)
+    size: int = 1
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where everything sits.
+
+    Attributes:
+        world_slot: Slot of each world, shape [worlds]; slot = group * width + lane.
+        parent: Parent of each place, shape [groups, places + 1]; place 0 is the world.
+        kind: Kind of joint of each place, shape [groups, places + 1].
+        count: Places in use in each group, shape [groups].
+        place: Place of every link of every world, one array per world.
+    """
+
+    world_slot: IntArray
+    parent: IntArray
+    kind: IntArray
+    count: IntArray
+    place: list[IntArray]
+
+
+def ordered(tree: Tree) -> Node:
+    """Return the tree under a root node that stands for the world, siblings in their canonical order."""
+    nodes = [Node(int(k), i) for i, k in enumerate(tree.joint)]
+    root = Node(-1)
+    for i in range(tree.num_links - 1, -1, -1):
+        above = nodes[tree.parent[i]] if tree.parent[i] >= 0 else root
+        above.children.append(nodes[i])
+        above.size += nodes[i].size
+    for node in (root, *nodes):
+        node.children.sort(key=lambda n: (n.kind, -n.size, n.link))
+    return root
+
+
+def overlay(target: Node, source: Node) -> None:
+    """Extend ``target`` in place so that it holds ``source``: children pair up in order within each kind of joint."""
+    merged: list[Node] = []
+    for kind in sorted({c.kind for c in target.children} | {c.kind for c in source.children}):
+        ours = [c for c in target.children if c.kind == kind]
+        theirs = [c for c in source.children if c.kind == kind]
+        ours += [Node(kind) for _ in range(len(theirs) - len(ours))]
+        for a, b in zip(ours, theirs, strict=False):
+            overlay(a, b)
+        merged += ours
+    target.children = merged
+
+
+def numbered(root: Node) -> tuple[list[int], list[int]]:
+    """Number an overlay depth first from 1 (into ``link``); return parents and kinds with the world at 0."""
+    parent, kind = [0], [0]
+    root.link = 0
+
+    def visit(node: Node) -> None:
+        for child in node.children:
+            child.link = len(parent)
+            parent.append(node.link)
+            kind.append(child.kind)
+            visit(child)
+
+    visit(root)
+    return parent, kind
+
+
+def places(target: Node, source: Node, out: IntArray) -> None:
+    """Write the place in ``target`` (numbered) of every link of ``source`` into ``out``."""
+    for kind in {c.kind for c in source.children}:
+        ours = [c for c in target.children if c.kind == kind]
+        theirs = [c for c in source.children if c.kind == kind]
+        for a, b in zip(ours, theirs, strict=False):
+            out[b.link] = a.link
+            places(a, b, out)
+
+
+def _signature(tree: Tree) -> bytes:
+    return tree.parent.tobytes() + b"|" + tree.joint.tobytes()
+
+
+def _shape_key(root: Node) -> tuple[int, ...]:
+    """Degrees in depth-first order: trees that sort side by side overlay well."""
+    key: list[int] = []
+    stack = [root]
+    while stack:
+        node = stack.pop()
+        key.append(len(node.children))
+        stack.extend(reversed(node.children))
+    return (root.size, *key)
+
+
+def arrange(trees: Sequence[Tree], width: int) -> Layout:
+    """Arrange one world per tree in groups of ``width``; like topologies share groups.
+
+    With one world a group the slots are in the order of the worlds.
+    """
+    signatures = [_signature(t) for t in trees]
+    unique: dict[bytes, Node] = {}
+    for tree, signature in zip(trees, signatures, strict=True):
+        if signature not in unique:
+            unique[signature] = ordered(tree)
+    rank = {s: r for r, s in enumerate(sorted(unique, key=lambda s: (_shape_key(unique[s]), s)))}
+    order = np.arange(len(trees))
+    if width > 1:
+        order = np.argsort([rank[s] for s in signatures], kind="stable")
+    groups = [order[g : g + width] for g in range(0, len(trees), width)]
+    return _fill(trees, signatures, unique, groups, width)
+
+
+def _fill(
+    trees: Sequence[Tree], signatures: list[bytes], unique: dict[bytes, Node], groups: list[IntArray], width: int
+) -> Layout:
+    rows: list[tuple[list[int], list[int]]] = []
+    place: list[IntArray] = [np.zeros(0, np.int64)] * len(trees)
+    slot = np.zeros(len(trees), np.int64)
+    cache: dict[tuple[bytes, ...], tuple[list[int], list[int], dict[bytes, IntArray]]] = {}
+    for g, members in enumerate(groups):
+        key = tuple(sorted({signatures[w] for w in members}))
+        if key not in cache:
+            cache[key] = _group(key, unique)
+        parent, kind, where = cache[key]
+        rows.append((parent, kind))
+        for lane, w in enumerate(members):
+            place[w] = where[signatures[w]]
+            slot[w] = g * width + lane
+    longest = max(len(p) for p, _ in rows)
+    parents = np.zeros((len(rows), longest), np.int64)
+    kinds = np.zeros((len(rows), longest), np.int64)
+    for g, (parent, kind) in enumerate(rows):
+        parents[g, : len(parent)], kinds[g, : len(kind)] = parent, kind
+    return Layout(slot, parents, kinds, np.array([len(p) - 1 for p, _ in rows]), place)
+
+
+def _group(key: tuple[bytes, ...], unique: dict[bytes, Node]) -> tuple[list[int], list[int], dict[bytes, IntArray]]:
+    union = Node(-1)
+    for signature in key:
+        overlay(union, unique[signature])
+    parent, kind = numbered(union)
+    where = {}
+    for signature in key:
+        where[signature] = np.zeros(unique[signature].size - 1, np.int64)
+        places(union, unique[signature], where[signature])
+    return parent, kind, where
