@@ -34,7 +34,7 @@ import warp as wp
 from .algebra import about_axis, add, add_cross, add_dot, add_mul, add_scaled, cross, div, dot, exponential
 from .algebra import half_angle_log, mul, renormalised, rotate, shifted_inverse, sub, sub_dot, sub_mul, sub_outer
 from .algebra import sub_scaled, transposed_mul, unrotate
-from .real import any_neg, fma, lane_neg, real, where_neg
+from .real import any_neg, fma, lane_neg, real, sqrt_, where_neg
 
 __all__ = ["FIXED", "PRISMATIC", "REVOLUTE", "SPHERICAL"]
 
@@ -368,19 +368,20 @@ def advance_links(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64, bound
             s.alpha[row, i] = alpha + qdd
             s.accel[row, i] = accel
             new = add_scaled(v, unrotate(s.pose[row, i], qdd), dt)
+            new = new * guarded(e, i, m, x, dot(new, new), bound)
+            keep = x.alive[e]
             q = x.coordinate[e, i]
-            keep = guarded(e, i, x, dot(new, new), bound)
             commit_spherical(e, i, x, keep, q, renormalised(q * exponential(new * dt, q)), v, new)
         elif kind == FIXED:
             s.alpha[row, i] = alpha
             s.accel[row, i] = accel
         else:
-            advance_scalar(e, row, i, kind, x, s, alpha, accel, v, h, bound)
+            advance_scalar(e, row, i, kind, m, x, s, alpha, accel, v, h, bound)
 
 
 @wp.func
 def advance_scalar(
-    e: int, row: int, i: int, kind: int, x: Any, s: Any, alpha: Any, accel: Any, v: Any, h: wp.float64,
+    e: int, row: int, i: int, kind: int, m: Any, x: Any, s: Any, alpha: Any, accel: Any, v: Any, h: wp.float64,
     bound: wp.float64,
 ):  # fmt: skip
     """Advance a revolute or prismatic joint: qdd = (t - U^T (al, a)) / d."""
@@ -396,7 +397,8 @@ def advance_scalar(
         s.accel[row, i] = add_scaled(accel, U.z, qdd)
     new = fma(qdd, dt, v.x)
     q = x.coordinate[e, i]
-    keep = guarded(e, i, x, new * new, bound)
+    new = new * guarded(e, i, m, x, new * new, bound)
+    keep = x.alive[e]
     x.coordinate[e, i] = type(q)(q.w, where_neg(keep, q.x, fma(new, dt, q.x)), q.y, q.z)
     x.velocity[e, i] = type(v)(where_neg(keep, v.x, new), v.y, v.z)
 
@@ -414,16 +416,38 @@ def commit_spherical(e: int, i: int, x: Any, keep: Any, q: Any, new_q: Any, v: A
 
 
 @wp.func
-def guarded(e: int, i: int, x: Any, speed2: Any, bound: wp.float64):
-    """Freeze the worlds whose squared joint speed leaves the bound, or the finite; return the alive mask, 1 or -1."""
-    b = real(bound, speed2)
-    minus = real(-1.0, b)
-    # where c < 0 the joint is fine; a world frozen before is fine too, or it would report every step
-    c = where_neg(x.alive[e], minus, speed2 - b * b)
-    verdict = where_neg(c, real(1.0, b), minus)
+def guarded(e: int, i: int, m: Any, x: Any, speed2: Any, bound: wp.float64):
+    """Return the factor that a joint's new velocity is scaled by: 1, unless its squared speed leaves the limit.
+
+    A joint whose spring is implicit moves faster than the step resolves; it is slowed to ``limit``, which takes energy
+    out and leaves every equilibrium where it is. A world that leaves ``bound``, or the finite, is frozen.
+    """
+    one = real(1.0, speed2)
+    minus = real(-1.0, speed2)
+    limit = m.limit[e, i]
+    # c < 0 where the joint is fine; so is a world frozen before, or it would take the slow path every step
+    c = where_neg(x.alive[e], minus, speed2 - limit * limit)
+    verdict = where_neg(c, one, minus)
+    scale = one
     if any_neg(verdict):
-        freeze(e, i, x, verdict)
-    return x.alive[e]
+        scale = slowed(e, i, x, speed2, limit, verdict, bound)
+    return scale
+
+
+#: A slowed joint may ask for any finite speed; squares beyond this leave float32.
+FAST = wp.constant(wp.float64(1.0e15))
+
+
+@wp.func
+def slowed(e: int, i: int, x: Any, speed2: Any, limit: Any, verdict: Any, bound: wp.float64):
+    """Freeze the worlds of a negative verdict that left the bound or the finite; return the factor for the others."""
+    b = real(bound, speed2)
+    b = where_neg(limit - b, real(FAST, b), b)
+    c = where_neg(verdict, speed2 - b * b, verdict - real(2.0, b))
+    lost = where_neg(c, real(1.0, b), real(-1.0, b))
+    if any_neg(lost):
+        freeze(e, i, x, lost)
+    return where_neg(verdict, limit / sqrt_(speed2), real(1.0, b))
 
 
 @wp.func

@@ -41,6 +41,7 @@ def layout_of(width: int = 1, precision: int = 32) -> SimpleNamespace:
         damping: wp.array2d(dtype=Real)
         armature: wp.array2d(dtype=Real)
         preload: wp.array2d(dtype=Vec)
+        limit: wp.array2d(dtype=Real)
         lift: wp.array(dtype=wp.float64)
 
     @wp.struct

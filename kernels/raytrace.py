@@ -73,8 +73,8 @@ class Hit:
 def octaves(seed: int, p: wp.vec3) -> float:
     """Sum of four octaves of Perlin noise at p, about -1 to 1."""
     state = wp.rand_init(seed)
-    total = float(0.0)
-    weight = float(0.55)
+    total = wp.float32(0.0)
+    weight = wp.float32(0.55)
     for _ in range(4):
         total += weight * wp.noise(state, p)
         weight *= 0.55
@@ -222,7 +222,7 @@ def sun_direction(light: Light, u: float, v: float) -> wp.vec3:
 def sunlight(surfaces: Surfaces, light: Light, hit: Hit, p: wp.vec3, to_sun: wp.vec3) -> wp.vec3:
     """Reflected (or, through a leaf, passed) radiance of the sun at p: Lambert's law with one shadow ray."""
     cosine = wp.dot(hit.normal, to_sun)
-    share = float(1.0)
+    share = wp.float32(1.0)
     if cosine < 0.0:
         share = hit.through
     if share * cosine == 0.0 or wp.mesh_query_ray_anyhit(surfaces.mesh, p, to_sun, FAR):

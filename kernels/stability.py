@@ -8,7 +8,7 @@ a pose, when
 with M the joint-space inertia (the z = -1 root of the step's characteristic polynomial). Eliminating from the tips
 inward, as the articulated-body algorithm does, the matrix is positive when every pivot A_i + C_i / 4 is, A_i being
 the articulated inertia of the pivots before it. gamma_i is the smallest share that keeps each pivot above
-(1 - margin) of A_i; where explicit springs are stable with that margin it is zero and the step is MuJoCo's
+(1 - margin) of A_i; where explicit springs are stable with that margin it is zero everywhere and the step is MuJoCo's
 ``implicitfast``.
 """
 
@@ -26,6 +26,10 @@ from .real import SOURCE, any_neg, fma, fnma, real, where_neg
 __all__ = ["damping_kernel"]
 
 
+#: Largest turn [rad] (or slide [m]) a step of a joint whose spring is implicit.
+LIMITED_TURN = wp.constant(wp.float64(0.25))
+
+
 @wp.func
 def least_eigenvalue(a: Any, k: Any):
     """Lower bound 1 / tr((a + k)^-1) of the least eigenvalue of a positive matrix; 0 where a + k is not positive."""
@@ -41,10 +45,15 @@ def least_eigenvalue(a: Any, k: Any):
 
 @wp.func
 def implicit_share(stiffness: Any, damping: Any, inertia: Any, h: wp.float64, margin: wp.float64):
-    """gamma = max(0, 1/2 - (2 margin I + h D) / (h^2 K)) of one joint, times h K: the damping it amounts to."""
+    """gamma h K of one joint, the damping that its implicit share amounts to.
+
+    gamma = 0 where 1/2 - (2 margin I + h D) / (h^2 K) < 0; else that value plus 1/2, since at the bare threshold a
+    mode that the step cannot resolve flips its sign every step and never decays.
+    """
     dt = real(h, stiffness)
-    need = fnma(real(margin, dt) * 2.0, inertia / dt, real(0.5, dt) * stiffness * dt - damping)
-    return where_neg(need, real(0.0, dt), need)
+    half = real(0.5, dt) * stiffness * dt
+    need = fnma(real(margin, dt) * 2.0, inertia / dt, half - damping)
+    return where_neg(need, real(0.0, dt), need + half)
 
 
 @wp.func
@@ -66,19 +75,21 @@ def damping_kernel(width: int = 1, precision: int = 32) -> Any:
 
     @wp.func
     def raise_to(damping_out: wp.array2d(dtype=Real), e: int, i: int, value: Real):
+        """Raise a joint's damping to a value it has not reached."""
         old = damping_out[e, i]
         damping_out[e, i] = where_neg(old - value, value, old)
 
     @wp.kernel(enable_backward=False, module="unique")
     def implicit_damping(
         m: Model, x_in: State, s_out: Scratch, first: int, row: int, h: wp.float64, margin: wp.float64,
-        damping_out: wp.array2d(dtype=Real),
+        damping_out: wp.array2d(dtype=Real), limit_out: wp.array2d(dtype=Real),
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
         place_root(e, r, m, s_out)
         place_links(e, r, m, x_in, s_out)
+        implicit = real(0.0, m.mass[e, 1])
         n = m.count[e]
         for step in range(n):
             i = n - step
@@ -100,7 +111,9 @@ def damping_kernel(width: int = 1, precision: int = 32) -> Any:
             p = m.parent[e, i]
             if kind == SPHERICAL:
                 inertia = least_eigenvalue(A, armature)
-                raise_to(damping_out, e, i, damping + implicit_share(stiffness, damping, inertia, h, margin))
+                share = implicit_share(stiffness, damping, inertia, h, margin)
+                raise_to(damping_out, e, i, damping + share)
+                implicit = implicit + share
                 k = armature + pivot_stiffness(stiffness, damping, damping_out[e, i], h)
                 D = shifted_inverse(A, k)
                 U = D * B
@@ -128,7 +141,9 @@ def damping_kernel(width: int = 1, precision: int = 32) -> Any:
                     uf = transposed_mul(B, axis)
                     d = dot(axis, un)
                 inertia = d + armature
-                raise_to(damping_out, e, i, damping + implicit_share(stiffness, damping, inertia, h, margin))
+                share = implicit_share(stiffness, damping, inertia, h, margin)
+                raise_to(damping_out, e, i, damping + share)
+                implicit = implicit + share
                 d = inertia + pivot_stiffness(stiffness, damping, damping_out[e, i], h)
                 inverse = 1.0 / d
                 if p > 0:
@@ -136,5 +151,17 @@ def damping_kernel(width: int = 1, precision: int = 32) -> Any:
                     vf = uf * inverse
                     rest = type(B)(sub_scaled(B.x, un, vf.x), sub_scaled(B.y, un, vf.y), sub_scaled(B.z, un, vf.z))
                     hand_in(e, r, i, p, m, s_out, sub_outer(A, vn, un), rest, sub_outer(M, vf, uf), zero, zero)
+
+        limit = real(LIMITED_TURN / h, implicit)
+        half = real(0.5, implicit) * real(h, implicit)
+        for i in range(1, n + 1):
+            # springs of a world that has an implicit one are all implicit by half: what the step cannot resolve in one
+            # joint drives the others
+            value = fma(m.stiffness[e, i], half, m.damping[e, i])
+            old = damping_out[e, i]
+            value = where_neg(old - value, value, old)
+            none = implicit * -1.0
+            damping_out[e, i] = where_neg(none, value, old)
+            limit_out[e, i] = where_neg(none, limit, limit_out[e, i])
 
     return implicit_damping

@@ -1,0 +1,1 @@
+"""Measured cases, inference of parameters, prediction and reports."""

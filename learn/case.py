@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..sim.measured import MeasuredBranch
 from ..sim.tree import Array
 from .case_columns import Columns, check_clock, read_columns
 from .case_joints import JointSetup, check_joint_meta, joint_setup
-from .case_schema import BranchMeta, JointMeta, JointTrajectoryMeta, MetaFile, read_meta
+from .case_schema import BranchMeta, BranchTrajectoryMeta, JointMeta, JointTrajectoryMeta, MetaFile, read_meta
 
 BRANCH_COLUMNS = ("t_s", "fx_N", "fy_N", "fz_N", "x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps")
 MAX_FORCE = 1e5
@@ -158,7 +159,8 @@ def _meta_path(folder: Path) -> Path:
 def _check_trajectories(meta: BranchMeta | JointMeta, file: MetaFile) -> None:
     """Check what both forms share: files inside the folder and used once, replicates of earlier recordings."""
     used: list[tuple[str, Sequence[float]]] = []
-    for i, item in enumerate(meta.trajectories):
+    items: Sequence[BranchTrajectoryMeta | JointTrajectoryMeta] = meta.trajectories
+    for i, item in enumerate(items):
         path = Path(item.file)
         if path.is_absolute() or ".." in path.parts:
             raise file.error(["trajectories", i, "file"], repr(item.file), "a file inside the case folder")
@@ -207,7 +209,7 @@ def _check_segments(meta: BranchMeta, file: MetaFile) -> list[str]:
     warnings = []
     names = [s.name for s in meta.segments]
     for i, s in enumerate(meta.segments):
-        here = ["segments", i]
+        here: list[str | int] = ["segments", i]
         if s.name in names[:i]:
             raise file.error([*here, "name"], f"{s.name} a second time", "unique names")
         for key in ("radius_base_m", "radius_tip_m"):
@@ -222,10 +224,10 @@ def _check_segments(meta: BranchMeta, file: MetaFile) -> list[str]:
         if not 1 / 3 < s.mass_kg / wood < 3:
             warnings.append(f"{file.path}: segment {s.name}: {text}")
     _check_grasp(meta, file)
-    for i, (a, b) in enumerate(zip(meta.trajectories, meta.trajectories[1:], strict=False)):
-        end = a.t_start_s + (meta.n_samples - 1) / meta.sample_rate_hz
-        if b.t_start_s < end:
-            found = f"{b.t_start_s:g} s, where trajectory {i + 1} lasts until {end:g} s"
+    for i, (before, after) in enumerate(pairwise(meta.trajectories)):
+        end = before.t_start_s + (meta.n_samples - 1) / meta.sample_rate_hz
+        if after.t_start_s < end:
+            found = f"{after.t_start_s:g} s, where trajectory {i + 1} lasts until {end:g} s"
             raise file.error(["trajectories", i + 1, "t_start_s"], found, "trajectories one after the other in time")
     return warnings
 
@@ -287,7 +289,8 @@ def _no_contact(t: Array, intervals: list[list[float]], file: MetaFile, index: i
     slack = 1e-6 + 1e-9 * abs(t[-1])
     half_step = (t[-1] - t[0]) / (len(t) - 1) / 2
     for i, (start, stop) in enumerate(intervals):
-        here, found = ["trajectories", index, "no_contact", i], f"[{start:g}, {stop:g}]"
+        here: list[str | int] = ["trajectories", index, "no_contact", i]
+        found = f"[{start:g}, {stop:g}]"
         if start > t[-1] and abs(stop - t[-1]) < half_step:
             continue
         if stop < start:
@@ -330,7 +333,7 @@ def _joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) 
     by_name = dict(zip(names, columns.values.T, strict=True))
     trajectory = JointTrajectory(
         file=item.file,
-        t=np.arange(len(columns.values)) * step,
+        t=step * np.arange(len(columns.values), dtype=np.float64),
         t_start=float(item.t_start_s),
         replicate_of=None if item.replicate_of is None else item.replicate_of - 1,
         input=by_name[meta.input.column] * meta.input.scale if meta.input else None,

@@ -9,7 +9,7 @@ from typing import Literal
 
 from ..sim.errors import InputError
 from ..sim.files import read_text
-from .case_schema import JointMeta, JointSpecMeta, MetaFile, nearest
+from .case_schema import InputMeta, JointMeta, JointSpecMeta, MetaFile, OutputMeta, nearest
 
 
 @dataclass(frozen=True)
@@ -121,8 +121,12 @@ def check_joint_meta(meta: JointMeta, file: MetaFile, folder: Path) -> None:
             names a trajectory that is not there; the MJCF file is missing or no XML.
     """
     names = _mjcf_joints(folder / meta.mechanism.mjcf) if meta.mechanism.mjcf else _names(meta)
-    users = [(["outputs", i], o) for i, o in enumerate(meta.outputs)]
-    for here, user in [*users, *([(["input"], meta.input)] if meta.input else [])]:
+    users: list[tuple[list[str | int], InputMeta | OutputMeta]] = [
+        (["outputs", i], output) for i, output in enumerate(meta.outputs)
+    ]
+    if meta.input:
+        users.append((["input"], meta.input))
+    for here, user in users:
         if names is not None and user.joint not in names:
             raise file.error([*here, "joint"], repr(user.joint), nearest(user.joint, names))
         if user.scale == 0:
@@ -141,7 +145,7 @@ def _names(meta: JointMeta) -> list[str]:
 def _check_mechanism(meta: JointMeta, file: MetaFile) -> None:
     driven = meta.input.joint if meta.input else None
     for i, joint in enumerate(meta.mechanism.joints or ()):
-        here = ["mechanism", "joints", i]
+        here: list[str | int] = ["mechanism", "joints", i]
         if joint.name in _names(meta)[:i]:
             raise file.error([*here, "name"], f"{joint.name} a second time", "unique names")
         if joint.gravity_torque and joint.type == "prismatic":

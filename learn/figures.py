@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Sequence
 from functools import wraps
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 import matplotlib
 import numpy as np
@@ -24,7 +24,7 @@ WIDTH = 9.0
 MOST_PAIRS = 8
 """Number of parameters up to which pairs are drawn."""
 
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.size": 10, "axes.titlesize": 10, "axes.labelsize": 10, "legend.fontsize": 9, "xtick.labelsize": 9,
     "ytick.labelsize": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
     "grid.color": "#E6E6E6", "grid.linewidth": 0.6, "axes.edgecolor": "#888888", "axes.axisbelow": True,
@@ -123,7 +123,8 @@ def posterior_figure(samples: Array, names: Sequence[str]) -> Figure:
                 ax.set_xlabel(_wrapped(names[j]) if i == n - 1 else "")
                 ax.set_ylabel(_wrapped(names[i]) if j == 0 else "")
                 ax.tick_params(labelleft=j == 0)
-            ax.locator_params(axis="x", nbins=2 if n > 4 else 4)
+            ax.locator_params(axis="x", nbins=4)
+            ax.tick_params(axis="x", labelrotation=45 if n > 4 else 0)
     figure.align_ylabels()
     return figure
 
@@ -225,7 +226,9 @@ def _residual_in_time(
 
 def _residual_histogram(ax: Axes, scaled: Array, colour: str) -> None:
     reach = min(max(4.0, float(np.quantile(np.abs(scaled), 0.999)) * 1.1), 60.0)
-    ax.hist(scaled, bins=np.linspace(-reach, reach, 61), density=True, color=colour, alpha=0.5, label="residual")
+    ax.hist(
+        scaled, bins=np.linspace(-reach, reach, 61).tolist(), density=True, color=colour, alpha=0.5, label="residual"
+    )
     x = np.linspace(-reach, reach, 401)
     ax.plot(x, np.exp(-x * x / 2) / np.sqrt(2 * np.pi), color=NOISE, linewidth=2, label="noise alone")
     ax.set_xlabel("residual / noise")

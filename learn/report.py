@@ -102,12 +102,13 @@ def write_report(folder: str | Path, content: ReportContent) -> Path:
 
 def number(value: object, digits: int = 3) -> str:
     """Write a number for a reader: ``digits`` significant ones, no exponent where it can be avoided."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
         return str(value)
+    value = int(value) if isinstance(value, (int, np.integer)) else float(value)
     if not math.isfinite(value):
         return "not finite"
     if value == 0 or 1e-4 <= abs(value) < 1e6:
-        if isinstance(value, (int, np.integer)):
+        if isinstance(value, int):
             return str(value)
         places = digits - 1 - math.floor(math.log10(abs(value))) if value else 0
         return f"{value:.{max(places, 0)}f}"

@@ -14,9 +14,7 @@ from .tree import Array, IntArray, Tree
 
 Pose = tuple[Array, Array]
 
-_BARK = np.array(
-    [[0.36, 0.29, 0.22], [0.40, 0.32, 0.22], [0.42, 0.35, 0.22], [0.38, 0.37, 0.18], [0.34, 0.40, 0.16]]
-)
+_BARK = np.array([[0.36, 0.29, 0.22], [0.40, 0.32, 0.22], [0.42, 0.35, 0.22], [0.38, 0.37, 0.18], [0.34, 0.40, 0.16]])
 
 
 def level_color(level: int | IntArray) -> Array:

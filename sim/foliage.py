@@ -43,7 +43,7 @@ def foliage(
 
 
 def leafy(tree: Tree) -> NDArray[np.bool_]:
-    """Tell which links bear leaves, shape [L]: those without children, and branches with at most three links on them."""
+    """Tell which links bear leaves, shape [L]: those without children, and branches with up to three links on them."""
     above = np.zeros(tree.num_links, dtype=np.int64)
     for i in range(tree.num_links - 1, -1, -1):
         if tree.parent[i] >= 0:
@@ -63,7 +63,7 @@ def _twigs(start: Array, end: Array, count: int, least: float, rng: np.random.Ge
     spread = rng.normal(size=(n, count, 3))
     spread -= np.sum(spread * along, axis=2, keepdims=True) * along / length**2
     spread /= np.linalg.norm(spread, axis=2, keepdims=True)
-    heading = along / length * (0.35 + 0.55 * where) + spread * (1.15 - 0.65 * where) + [0.0, 0.0, 0.22]
+    heading = along / length * (0.35 + 0.55 * where) + spread * (1.15 - 0.65 * where) + np.array([0.0, 0.0, 0.22])
     heading /= np.linalg.norm(heading, axis=2, keepdims=True)
     base = start[:, None] + np.minimum(where, 1.0) * along
     reach = np.maximum(length, least) * (0.62 - 0.22 * where) * rng.uniform(0.75, 1.2, (n, count, 1))
@@ -76,9 +76,9 @@ def _leaves(base: Array, tip: Array, rng: np.random.Generator) -> tuple[Array, I
     twig = (tip - base)[:, None]
     length = np.linalg.norm(twig, axis=2, keepdims=True)
     where = np.linspace(0.15, 1.0, _LEAVES)[None, :, None] + rng.normal(0.0, 0.03, (n, _LEAVES, 1))
-    rib = twig / length + 1.0 * rng.normal(size=(n, _LEAVES, 3)) + [0.0, 0.0, -0.25]
+    rib = twig / length + 1.0 * rng.normal(size=(n, _LEAVES, 3)) + np.array([0.0, 0.0, -0.25])
     rib /= np.linalg.norm(rib, axis=2, keepdims=True)
-    face = rng.normal(0.0, 0.55, (n, _LEAVES, 3)) + [0.0, 0.0, 1.0]
+    face = rng.normal(0.0, 0.55, (n, _LEAVES, 3)) + np.array([0.0, 0.0, 1.0])
     side = np.cross(face, rib)
     side /= np.linalg.norm(side, axis=2, keepdims=True)
     fold = np.cross(rib, side)
@@ -118,6 +118,6 @@ def grass(
     facing = rng.uniform(0.0, np.pi, (*shape, 1))
     half = 0.09 * tall * np.concatenate([np.cos(facing), np.sin(facing), 0.0 * facing], axis=2)
     corners = np.stack([base - half, base + half, tip], axis=2).reshape(-1, 3)
-    tint = [0.30, 0.39, 0.15] + rng.uniform(size=(_TUFTS, 1)) * [0.17, 0.08, 0.07]
+    tint = np.array([0.30, 0.39, 0.15]) + rng.uniform(size=(_TUFTS, 1)) * [0.17, 0.08, 0.07]
     faces = np.arange(len(corners)).reshape(-1, 3)
     return corners, faces, np.repeat(tint, 3 * _BLADES, axis=0), np.full(len(corners), 0.5)

@@ -107,7 +107,7 @@ def _preload(document: Document, count: int) -> Array:
 def _gravity(document: Document) -> Array:
     gravity = np.array([0.0, 0.0, -9.81])
     for option in document.root.find_all("option"):
-        gravity = option.vector("gravity", 3, gravity)
+        gravity = option.vector("gravity", 3, list(gravity))
     return gravity * float(document.flag("gravity"))
 
 
@@ -168,7 +168,7 @@ def _set_joint(document: Document, link: Link, joint: Element, frame: Pose) -> N
     if link.joint == Joint.PRISMATIC:
         link.position = link.position - quat_matrix(link.rotation) @ link.axis * ref
     else:
-        back = axis_angle_quat(link.axis, np.float64(-ref))
+        back = axis_angle_quat(link.axis, np.asarray(-ref))
         link.position = link.position + quat_rotate(link.rotation, link.anchor - quat_rotate(back, link.anchor))
         link.rotation = quat_multiply(link.rotation, back)
 

@@ -23,6 +23,11 @@ _SECTIONS = (
     "compiler", "option", "size", "visual", "statistic", "default", "custom", "asset", "extension", "worldbody",
     "contact", "equality", "tendon", "actuator", "sensor", "keyframe", "deformable",
 )  # fmt: skip
+_COMPILER = (
+    "alignfree angle assetdir autolimits balanceinertia boundinertia boundmass conflict coordinate discardvisual "
+    "eulerseq fitaabb fusestatic inertiafromgeom inertiagrouprange meshdir passthrough savecanonical savecompiled "
+    "saveinertial settotalmass strippath texturedir usethread"
+)
 _PREFIX_VECTORS = {"size", "stiffness", "damping"}  # an element may override only the first numbers of these
 
 
@@ -98,7 +103,7 @@ class Document:
             return self._euler(element)
         if "axisangle" in element.attrib:
             v = element.vector("axisangle", 4)
-            return axis_angle_quat(unit(element, "axisangle", v[:3]), np.float64(v[3] * self.angle_unit))
+            return axis_angle_quat(unit(element, "axisangle", v[:3]), np.asarray(v[3] * self.angle_unit))
         if "xyaxes" in element.attrib:
             v = element.vector("xyaxes", 6)
             x = unit(element, "xyaxes", v[:3])
@@ -136,6 +141,7 @@ def read_document(path: str | Path) -> Document:
             raise section.error(f"an unknown section <{section.tag}>", ", ".join(_SECTIONS))
     compiler = Element("compiler", {}, root.file, root.line)
     for part in root.find_all("compiler"):
+        part.check_attributes(_COMPILER)
         compiler = replace(part, attrib=compiler.attrib | part.attrib)
     classes: dict[str, dict[str, dict[str, str]]] = {"main": {}}
     for default in root.find_all("default"):

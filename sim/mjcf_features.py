@@ -58,7 +58,7 @@ def check_joint(joint: Element) -> None:
             raise joint.error(f"{key}='{joint.attrib[key]}'", "one number, zero or more")
     if any(joint.vector("springdamper", 2, [0.0, 0.0]) != 0):
         raise joint.error("springdamper", "stiffness and damping")
-    if any(float(word) != 0 for word in joint.attrib.get("springyield", "0").split()):
+    if any(joint.vector("springyield", 3, [0.0], at_least=1) != 0):
         raise joint.error("springyield", "springs that do not yield")
 
 

@@ -51,7 +51,7 @@ def combined(parts: list[MassProperties]) -> MassProperties:
     return MassProperties(float(mass), com, inertia)
 
 
-def solid(kind: str, size: Array) -> tuple[complex, Array]:
+def solid(kind: str, size: Array) -> tuple[np.number, Array]:
     """Volume and principal inertias at unit density of a solid primitive about its centre.
 
     Args:
@@ -62,8 +62,8 @@ def solid(kind: str, size: Array) -> tuple[complex, Array]:
         Volume [m^3] and principal inertias [m^5], shape [3].
     """
     if kind == "box" or kind == "ellipsoid":
-        volume, factor = (8.0, 1 / 3) if kind == "box" else (4 / 3 * np.pi, 1 / 5)
-        volume = volume * np.prod(size)
+        unit_volume, factor = (8.0, 1 / 3) if kind == "box" else (4 / 3 * np.pi, 1 / 5)
+        volume = unit_volume * np.prod(size)
         return volume, volume * factor * (np.sum(size**2) - size**2)
     radius, half = size[0], (size[1] if kind != "sphere" else 0.0)
     ball = 0.0 if kind == "cylinder" else 4 / 3 * np.pi * radius**3
@@ -126,7 +126,7 @@ def mesh_geom(geom: Element, mesh: Element, compiler: Element) -> MassProperties
     """
     import newton  # slow to import, and only files with meshes need it
 
-    keep = {k: geom.attrib[k] for k in ("type", "mesh", "mass", "density", "shellinertia") if k in geom.attrib}
+    keep = {k: v for k, v in geom.attrib.items() if k in ("type", "mesh", "mass", "density", "shellinertia")}
     dirs = {k: v for k, v in compiler.attrib.items() if k in ("meshdir", "assetdir", "strippath")}
     text = (
         f"<mujoco><compiler{_attributes(dirs)}/><asset><mesh{_attributes(mesh.attrib)}/></asset>"
@@ -137,7 +137,7 @@ def mesh_geom(geom: Element, mesh: Element, compiler: Element) -> MassProperties
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             builder.add_mjcf(text, path_resolver=lambda _, name: str(_existing(mesh, name)))
-    except (ValueError, RuntimeError, OSError, UserWarning) as e:
+    except Exception as e:  # Newton and the mesh readers behind it raise errors of many kinds
         raise mesh.error(f"a mesh that Newton cannot read ({e})", "a mesh file with a volume") from None
     inertia = np.array(builder.body_inertia[0], dtype=np.float64).reshape(3, 3)
     return MassProperties(float(builder.body_mass[0]), np.array(builder.body_com[0], dtype=np.float64), inertia)

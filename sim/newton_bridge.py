@@ -9,6 +9,7 @@ Newton has no place for pre-load, branching order and the two radii of a capsule
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import newton
 import numpy as np
@@ -16,7 +17,7 @@ import warp as wp
 
 from .errors import InputError
 from .mjcf_document import z_to
-from .newton_layout import SOURCE, WorldLayout, read_layout, turned, unit, wxyz, xyzw
+from .newton_layout import SOURCE, WorldLayout, host, read_layout, turned, unit, wxyz, xyzw
 from .pose import quat_rotate, rest_pose
 from .tree import Array, IntArray, Joint, Tree
 
@@ -40,7 +41,7 @@ def to_newton(
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     _register_attributes(builder)
     for tree in trees:
-        builder.begin_world(gravity=gravity)
+        builder.begin_world(gravity=wp.vec3(*gravity))
         _add_tree(builder, tree.validate())
         builder.end_world()
     # Newton's inertia check widens inertias at the triangle inequality in float32; `validate` has checked them.
@@ -88,7 +89,7 @@ def _add_tree(builder: newton.ModelBuilder, tree: Tree) -> None:
 def _add_joint(builder: newton.ModelBuilder, tree: Tree, i: int, first: int) -> int:
     """Add the joint of link i, whose body is number first + i; return its index."""
     parent = first + int(tree.parent[i]) if tree.parent[i] >= 0 else -1
-    place = {
+    place: dict[str, Any] = {
         "parent_xform": _transform(tree.position[i] + quat_rotate(tree.rotation[i], tree.anchor[i]), tree.rotation[i]),
         "child_xform": _transform(tree.anchor[i], np.array([1.0, 0.0, 0.0, 0.0])),
         "label": f"{tree.name}/{tree.link_name[i]}_joint",
@@ -96,7 +97,7 @@ def _add_joint(builder: newton.ModelBuilder, tree: Tree, i: int, first: int) -> 
     }
     if tree.joint[i] == Joint.FIXED:
         return builder.add_joint_fixed(parent, first + i, **place)
-    passive = {key: float(getattr(tree, key)[i]) for key in ("stiffness", "damping", "armature")}
+    passive: dict[str, Any] = {key: float(getattr(tree, key)[i]) for key in ("stiffness", "damping", "armature")}
     if tree.joint[i] == Joint.SPHERICAL:
         joint = builder.add_joint_ball(parent, first + i, **place, **passive)
         start = builder.joint_q_start[joint]
@@ -127,13 +128,15 @@ def _read_tree(model: newton.Model, world: WorldLayout, number: int) -> Tree:
         joint=world.kind,
         position=world.position,
         rotation=world.rotation,
-        mass=model.body_mass.numpy()[world.body],
-        com=model.body_com.numpy()[world.body],
-        inertia=model.body_inertia.numpy()[world.body],
+        mass=host(model, "body_mass")[world.body],
+        com=host(model, "body_com")[world.body],
+        inertia=host(model, "body_inertia")[world.body],
         anchor=world.anchor,
         axis=_axes(model, world),
         rest=_rest(model, world),
-        **{key: _isotropic(model, world, key) for key in ("stiffness", "damping", "armature")},
+        stiffness=_isotropic(model, world, "stiffness"),
+        damping=_isotropic(model, world, "damping"),
+        armature=_isotropic(model, world, "armature"),
         **_custom(model, world.joint),
         **_capsules(model, world),
     ).validate(SOURCE)
@@ -143,14 +146,14 @@ def _axes(model: newton.Model, world: WorldLayout) -> Array:
     axis = np.tile([0.0, 0.0, 1.0], (len(world.joint), 1))
     scalar = np.isin(world.kind, (Joint.REVOLUTE, Joint.PRISMATIC))
     if scalar.any():
-        own = model.joint_axis.numpy()[world.qd_start[scalar]].astype(np.float64)
+        own = host(model, "joint_axis")[world.qd_start[scalar]].astype(np.float64)
         axis[scalar] = unit(quat_rotate(world.turn[scalar], own))
     return axis
 
 
 def _isotropic(model: newton.Model, world: WorldLayout, key: str) -> Array:
     """Stiffness, damping or armature of each link, the same about all axes of a ball joint."""
-    source, out = getattr(model, f"joint_{key}").numpy(), np.zeros(len(world.joint))
+    source, out = host(model, f"joint_{key}"), np.zeros(len(world.joint))
     for i in np.flatnonzero(world.kind != Joint.FIXED):
         own = source[world.qd_start[i] :][: Joint(world.kind[i]).dofs]
         if np.ptp(own) > 1e-6 * np.abs(own).max():
@@ -162,7 +165,7 @@ def _isotropic(model: newton.Model, world: WorldLayout, key: str) -> Array:
 
 def _rest(model: newton.Model, world: WorldLayout) -> Array:
     """Rest coordinate of scalar joints in the first column, rest orientation of spherical ones in the body frame."""
-    source, rest = model.joint_rest_q.numpy().astype(np.float64), np.zeros((len(world.joint), 4))
+    source, rest = host(model, "joint_rest_q").astype(np.float64), np.zeros((len(world.joint), 4))
     for i in np.flatnonzero(world.kind != Joint.FIXED):
         own = source[world.q_start[i] :]
         if world.kind[i] == Joint.SPHERICAL:
@@ -172,18 +175,18 @@ def _rest(model: newton.Model, world: WorldLayout) -> Array:
     return rest
 
 
-def _custom(model: newton.Model, joints: IntArray) -> dict[str, Array]:
+def _custom(model: newton.Model, joints: IntArray) -> dict[str, Any]:
     space = getattr(model, "bough", None)
     return {} if space is None else {key: getattr(space, key).numpy()[joints] for key in ("preload", "level")}
 
 
-def _capsules(model: newton.Model, world: WorldLayout) -> dict[str, Array]:
+def _capsules(model: newton.Model, world: WorldLayout) -> dict[str, Any]:
     if model.shape_count == 0:
         return {}
     link = {int(b): i for i, b in enumerate(world.body)}
-    bodies = model.shape_body.numpy()
-    chosen = np.flatnonzero((model.shape_type.numpy() == int(newton.GeoType.CAPSULE)) & np.isin(bodies, world.body))
-    place, scale = (x.numpy()[chosen].astype(np.float64) for x in (model.shape_transform, model.shape_scale))
+    bodies = host(model, "shape_body")
+    chosen = np.flatnonzero((host(model, "shape_type") == int(newton.GeoType.CAPSULE)) & np.isin(bodies, world.body))
+    place, scale = (host(model, key)[chosen].astype(np.float64) for key in ("shape_transform", "shape_scale"))
     reach = quat_rotate(unit(wxyz(place[:, 3:])), np.array([0.0, 0.0, 1.0])) * scale[:, 1:2]
     space = getattr(model, "bough", None)
     return {
@@ -195,7 +198,7 @@ def _capsules(model: newton.Model, world: WorldLayout) -> dict[str, Array]:
 
 
 def _tree_name(model: newton.Model, world: WorldLayout, number: int) -> str:
-    articulation = int(model.joint_articulation.numpy()[world.joint[0]])
+    articulation = int(host(model, "joint_articulation")[world.joint[0]])
     return (model.articulation_label[articulation] if articulation >= 0 else "") or f"world_{number}"
 
 

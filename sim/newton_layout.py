@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import newton
 import numpy as np
+from numpy.typing import NDArray
 
 from .errors import InputError
 from .pose import quat_multiply, quat_rotate
@@ -66,16 +67,21 @@ def read_layout(model: newton.Model) -> list[WorldLayout]:
         InputError: A joint of another kind than fixed, revolute, ball and prismatic, a closed loop, a body without a
             joint, bodies both inside and outside of worlds.
     """
-    child = model.joint_child.numpy()
+    child = host(model, "joint_child")
     count = np.bincount(child, minlength=model.body_count)
     for body in np.flatnonzero(count != 1):
         found = "several joints (a closed loop)" if count[body] else "no joint"
         raise InputError(SOURCE, f"body {model.body_label[body]}", found, "one joint to its parent or the world")
-    world = model.body_world.numpy()[child]
+    world = host(model, "body_world")[child]
     if len(np.unique(world < 0)) > 1:
         raise InputError(SOURCE, "", "bodies both inside and outside of worlds", "all bodies in worlds, or none")
-    ordered = _parents_first(model.joint_parent.numpy(), child)
+    ordered = _parents_first(host(model, "joint_parent"), child)
     return [_read_world(model, ordered[world[ordered] == w]) for w in np.unique(world)]
+
+
+def host(model: newton.Model, name: str) -> NDArray:
+    """Copy of one of the model's arrays on the host."""
+    return getattr(model, name).numpy()
 
 
 def _parents_first(parent: IntArray, child: IntArray) -> IntArray:
@@ -94,23 +100,23 @@ def _parents_first(parent: IntArray, child: IntArray) -> IntArray:
 
 
 def _read_world(model: newton.Model, joint: IntArray) -> WorldLayout:
-    body = model.joint_child.numpy()[joint].astype(np.int64)
+    body = host(model, "joint_child")[joint].astype(np.int64)
     link = {int(b): i for i, b in enumerate(body)} | {-1: -1}
-    kinds = [newton.JointType(int(kind)) for kind in model.joint_type.numpy()[joint]]
+    kinds = [newton.JointType(int(kind)) for kind in host(model, "joint_type")[joint]]
     for j, kind in zip(joint, kinds, strict=True):
         if kind not in _KINDS:
             allowed = ", ".join(k.name.lower() for k in _KINDS)
             raise InputError(SOURCE, f"joint {model.joint_label[j]}", f"a {kind.name} joint", allowed)
-    above, below = (x.numpy()[joint].astype(np.float64) for x in (model.joint_X_p, model.joint_X_c))
+    above, below = (host(model, key)[joint].astype(np.float64) for key in ("joint_X_p", "joint_X_c"))
     turn = unit(wxyz(below[:, 3:]))
     rotation = quat_multiply(unit(wxyz(above[:, 3:])), conjugate(turn))
     return WorldLayout(
         joint=joint,
         body=body,
-        parent=np.array([link[int(b)] for b in model.joint_parent.numpy()[joint]], dtype=np.int64),
+        parent=np.array([link[int(b)] for b in host(model, "joint_parent")[joint]], dtype=np.int64),
         kind=np.array([_KINDS[kind] for kind in kinds], dtype=np.int64),
-        q_start=model.joint_q_start.numpy()[joint].astype(np.int64),
-        qd_start=model.joint_qd_start.numpy()[joint].astype(np.int64),
+        q_start=host(model, "joint_q_start")[joint].astype(np.int64),
+        qd_start=host(model, "joint_qd_start")[joint].astype(np.int64),
         position=above[:, :3] - quat_rotate(rotation, below[:, :3]),
         rotation=rotation,
         anchor=below[:, :3],

@@ -107,17 +107,17 @@ class Simulator:
 
     def _dynamic_model(self) -> object:
         """Copy the model's struct with a damping array of its own: physical plus what the springs' share amounts to."""
-        self._damping = self.model.field("Real")
+        self._damping, self._limit = self.model.field("Real"), self.model.field("Real")
         struct = layout_of(self.model.width, self.model.precision).Model()
         for name in self.model.kernel._cls.vars:
             setattr(struct, name, getattr(self.model.kernel, name))
-        struct.damping = self._damping.kernel
+        struct.damping, struct.limit = self._damping.kernel, self._limit.kernel
         return struct
 
     @property
     def nbytes(self) -> int:
         """Bytes of state and parameters on the device, scratch included."""
-        return self.model.nbytes + self.state.nbytes + self._damping.nbytes + self._launcher.nbytes
+        return self.model.nbytes + self.state.nbytes + self._damping.nbytes + self._limit.nbytes + self._launcher.nbytes
 
     # ---- stepping ------------------------------------------------------------------------------------------------
 
@@ -127,10 +127,11 @@ class Simulator:
         Needed after stiffness, damping, masses or geometry of the model have changed.
         """
         self._damping.torch.copy_(self.model.arrays["damping"].torch)
+        self._limit.torch.fill_(self.max_speed)
         rest = State(self.model)
         kernel = damping_kernel(self.model.width, self.model.precision)
         for state in (rest, self.state):
-            after = [self.dt / self.substeps, self.MARGIN, self._damping.kernel]
+            after = [self.dt / self.substeps, self.MARGIN, self._damping.kernel, self._limit.kernel]
             self._launcher.prepare(kernel, [self.model.kernel, state.kernel], after)()
 
     def step(self, count: int = 1) -> None:

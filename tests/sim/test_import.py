@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import mujoco
 import newton
 import numpy as np
@@ -13,12 +15,22 @@ from bough.sim.import_mjcf import Mechanism, load_mjcf
 from bough.sim.import_urdf import load_urdf
 from bough.sim.pose import pose, quat_matrix
 from bough.sim.tree import Joint
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from oracles.random_mjcf import RandomMjcf
 from oracles.random_tree import random_tree
 
 # Both sides work in float64 from the same decimal text; what is left is round-off of a few operations on values of
 # size one, and MuJoCo's own diagonalisation of inertia tensors.
 ROUND_OFF = 1e-11
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _elsewhere(tmp_path_factory):
+    """Work in a scratch folder: C MuJoCo appends its warnings to MUJOCO_LOG.TXT in the current one."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("log"))
+        yield
 
 
 def _write(tmp_path, text, name="model.xml"):
@@ -232,6 +244,7 @@ BAD_SECTIONS = {
     "flex": ("<deformable><flex name='f'/></deformable>", "flexible"),
     "unknown section": ("<wordlbody/>", "wordlbody"),
     "bad angle": ("<compiler angle='grad'/>", "angle='grad'"),
+    "unknown setting": ("<compiler angel='radian'/>", "'angel'"),
     "bad eulerseq": ("<compiler eulerseq='xyw'/>", "eulerseq='xyw'"),
     "bad gravity": ("<option gravity='9.81'/>", "gravity='9.81'"),
     "class twice": ("<default><default class='c'/><default class='c'/></default>", "class='c'"),
@@ -425,3 +438,39 @@ def test_urdf_negative_mass_is_refused(tmp_path):
     """Name the negative mass."""
     with pytest.raises(InputError, match="value='-1'"):
         load_urdf(_write(tmp_path, f'<robot name="r">{LINK.format("a").replace("1", "-1", 1)}</robot>'))
+
+
+JUNK = ("", "x", "nan", "-1", "0", "1e400", "1 2", "1 2 3 4 5 6 7 8", "true", "mesh", "ball", "l1")
+
+
+def _damaged(text, rng):
+    """Spoil one to three places: an attribute's value, an attribute's name, a tag, or a stretch of text."""
+    for _ in range(rng.integers(1, 4)):
+        spots = list(re.finditer(r'([\w]+)="([^"]*)"|<(/?\w+)', text))
+        spot = spots[rng.integers(len(spots))]
+        if rng.random() < 0.1:
+            text = text[: spot.start()] + text[spot.end() + rng.integers(20) :]
+        elif spot[3]:
+            text = (
+                text[: spot.start()]
+                + "<"
+                + str(rng.choice(["body", "joint", "geom", "link", "x"]))
+                + text[spot.end() :]
+            )
+        else:
+            name = spot[1] if rng.random() < 0.8 else "x"
+            text = f'{text[: spot.start()]}{name}="{rng.choice(JUNK)}"{text[spot.end() :]}'
+    return text
+
+
+@settings(max_examples=150, deadline=None)
+@given(seed=st.integers(0, 10**6), urdf=st.booleans())
+def test_damaged_files_are_read_or_refused_in_one_line(tmp_path_factory, seed, urdf):
+    """Damage random files: whatever comes out is a valid mechanism or an `InputError` of one line."""
+    rng = np.random.default_rng(seed)
+    text = _random_urdf(rng, 4) if urdf else RandomMjcf(seed, bodies=3).text
+    path = _write(tmp_path_factory.mktemp("damaged"), _damaged(text, rng))
+    try:
+        (load_urdf if urdf else load_mjcf)(path).tree.validate()
+    except InputError as e:
+        assert "\n" not in str(e)
