@@ -186,12 +186,12 @@ def fold_links(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64):
         B = skew(mc, s.U[row, i])
         f = own_force(row, i, s, mass, mc)
         n0 = own_moment(row, i, s, A, mc)
-        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f)
+        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i])
 
 
 @wp.func
 def fold_links_loaded(e: int, row: int, m: Any, x: Any, u: Any, s: Any, h: wp.float64):
-    """Fold as `fold_links` does, under forces applied at points of the links."""
+    """Fold as `fold_links` does, under forces applied at points of the links and efforts applied at the joints."""
     n = m.count[e]
     for step in range(n):
         i = n - step
@@ -203,13 +203,14 @@ def fold_links_loaded(e: int, row: int, m: Any, x: Any, u: Any, s: Any, h: wp.fl
         force = u.force[e, i]
         f = own_force(row, i, s, mass, mc) - force
         n0 = add_cross(own_moment(row, i, s, A, mc), force, rotate(pose, u.point[e, i]))
-        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f)
+        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + u.effort[e, i])
 
 
 @wp.func(inline=True)
 def fold_link(
-    e: int, row: int, i: int, m: Any, x: Any, s: Any, h: wp.float64, A: Any, B: Any, mass: Any, n0: Any, f0: Any
-):
+    e: int, row: int, i: int, m: Any, x: Any, s: Any, h: wp.float64, A: Any, B: Any, mass: Any, n0: Any, f0: Any,
+    effort: Any,
+):  # fmt: skip
     """Add what the children handed in to a link's own inertia and fold the sum across its joint."""
     o = real(0.0, mass)
     M = type(A)(mass, o, o, mass, o, mass)
@@ -217,31 +218,32 @@ def fold_link(
     if kind == SPHERICAL:
         if m.inner[e, i] == 1:
             fold_spherical(e, row, i, m, x, s, h, A + s.A[row, i], B + s.B[row, i], M + s.M[row, i],
-                           n0 + s.n[row, i], f0 + s.f[row, i])  # fmt: skip
+                           n0 + s.n[row, i], f0 + s.f[row, i], effort)  # fmt: skip
         else:
-            fold_spherical(e, row, i, m, x, s, h, A, B, M, n0, f0)
+            fold_spherical(e, row, i, m, x, s, h, A, B, M, n0, f0, effort)
     else:
         if m.inner[e, i] == 1:
             fold_other(e, row, i, kind, m, x, s, h, A + s.A[row, i], B + s.B[row, i], M + s.M[row, i],
-                       n0 + s.n[row, i], f0 + s.f[row, i])  # fmt: skip
+                       n0 + s.n[row, i], f0 + s.f[row, i], effort)  # fmt: skip
         else:
-            fold_other(e, row, i, kind, m, x, s, h, A, B, M, n0, f0)
+            fold_other(e, row, i, kind, m, x, s, h, A, B, M, n0, f0, effort)
 
 
 @wp.func(inline=True)
 def fold_spherical(
-    e: int, row: int, i: int, m: Any, x: Any, s: Any, h: wp.float64, A: Any, B: Any, M: Any, n0: Any, f0: Any
-):
+    e: int, row: int, i: int, m: Any, x: Any, s: Any, h: wp.float64, A: Any, B: Any, M: Any, n0: Any, f0: Any,
+    effort: Any,
+):  # fmt: skip
     """Fold across a spherical joint, S = [1; 0].
 
     With D = (A + k)^-1 and t = Q - K log q - D' w - n0:  A -> k - k^2 D,  B -> k D B,  M -> M - B^T D B,
-    n0 -> n0 + t - k D t,  f0 -> f0 + B^T D t,  where Q is the pre-load turned into world axes.
+    n0 -> n0 + t - k D t,  f0 -> f0 + B^T D t;  Q is the joint's effort, pre-load and applied, in world axes.
     """
     q = x.coordinate[e, i]
     damping = m.damping[e, i]
     k = fma(damping, real(h, damping), m.armature[e, i])
     spring = half_angle_log(q) * m.stiffness[e, i]
-    sprung = sub_scaled(m.preload[e, i], type(n0)(q.x, q.y, q.z), spring)
+    sprung = sub_scaled(effort, type(n0)(q.x, q.y, q.z), spring)
     t = sub_scaled(rotate(s.pose[row, i], sprung), s.relative[row, i], damping) - n0
     D = shifted_inverse(A, k)
     U = D * B
@@ -269,8 +271,9 @@ def fold_spherical(
 
 @wp.func
 def fold_other(
-    e: int, row: int, i: int, kind: int, m: Any, x: Any, s: Any, h: wp.float64, A: Any, B: Any, M: Any, n: Any, f: Any
-):
+    e: int, row: int, i: int, kind: int, m: Any, x: Any, s: Any, h: wp.float64, A: Any, B: Any, M: Any, n: Any, f: Any,
+    effort: Any,
+):  # fmt: skip
     """Fold across a revolute (S = [s; 0]), prismatic (S = [0; s]) or fixed joint."""
     p = m.parent[e, i]
     if kind == FIXED:
@@ -280,7 +283,7 @@ def fold_other(
         axis = rotate(s.pose[row, i], m.axis[e, i])
         damping = m.damping[e, i]
         k = fma(damping, real(h, damping), m.armature[e, i])
-        t = m.preload[e, i].x - m.stiffness[e, i] * x.coordinate[e, i].x - damping * x.velocity[e, i].x
+        t = effort.x - m.stiffness[e, i] * x.coordinate[e, i].x - damping * x.velocity[e, i].x
         if kind == REVOLUTE:
             un = A * axis
             fold_scalar(e, row, i, p, m, s, A, B, M, n, f, axis, un, transposed_mul(B, axis), k + dot(axis, un),

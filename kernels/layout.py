@@ -58,6 +58,7 @@ def layout_of(width: int = 1, precision: int = 32) -> SimpleNamespace:
     class Load:
         force: wp.array2d(dtype=Vec)
         point: wp.array2d(dtype=Vec)
+        effort: wp.array2d(dtype=Vec)
 
     @wp.struct
     class Scratch:

@@ -1,0 +1,1 @@
+"""Point clouds, embeddings, occlusion and touch: still an empty room in this release."""

@@ -9,9 +9,22 @@ import torch
 import warp as wp
 
 from ..kernels.layout import layout_of
-from .tree import Array
+from .tree import Array, IntArray
 
 COMPONENTS = {"Real": 1, "Vec": 3, "Quat": 4, "Sym": 6, "Mat": 9}
+
+
+def link_major(device: Any) -> bool:
+    """Return whether memory lies link by link (GPU: neighbouring threads are neighbouring worlds) or world by world."""
+    return bool(device.is_cuda)
+
+
+def integer_array(values: IntArray, device: Any) -> wp.array:
+    """Return ``values`` [groups] or [groups, places] as a Warp array of int32, in the device's memory order."""
+    flipped = link_major(device) and values.ndim == 2
+    host = np.ascontiguousarray(values.T if flipped else values, dtype=np.int32)
+    array = wp.array(host, dtype=int, device=device)
+    return array.transpose() if flipped else array
 
 
 class LaneArray:
@@ -32,7 +45,7 @@ class LaneArray:
         self.device = wp.get_device(device)
         self.width, self.components = width, COMPONENTS[kind]
         scalar = wp.float64 if precision == 64 else wp.float32
-        self._link_major = self.device.is_cuda
+        self._link_major = link_major(self.device)
         shape = (places, groups) if self._link_major else (groups, places)
         self._memory = wp.zeros((*shape, self.components, width), dtype=scalar, device=self.device)
         struct = getattr(layout_of(width, precision), kind)

@@ -38,7 +38,7 @@ def to_mjcf(tree: Tree, *, gravity: float = 9.81, timestep: float = 1.0 / 240.0)
     root = ET.Element("mujoco", model=tree.name)
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
     option = {"gravity": numbers([0.0, 0.0, -gravity]), "timestep": numbers([timestep])}
-    ET.SubElement(root, "option", integrator="implicitfast", **option)
+    ET.SubElement(root, "option", {"integrator": "implicitfast", **option})
     if tree.preload.any():
         _write_preload(root, tree)
     world, children = ET.SubElement(root, "worldbody"), tree.children()
@@ -62,7 +62,7 @@ def _write_link(above: ET.Element, tree: Tree, i: int, children: list[list[int]]
     if tree.link_name[i] == "world":
         raise InputError(tree.name, "link world", "the name 'world'", "in MJCF, any other name")
     pose = {"pos": numbers(tree.position[i]), "quat": numbers(tree.rotation[i])}
-    body = ET.SubElement(above, "body", name=tree.link_name[i], **pose)
+    body = ET.SubElement(above, "body", {"name": tree.link_name[i], **pose})
     if tree.joint[i] != Joint.FIXED:
         if not _has_mass(tree, i, children):
             found = f"mass {tree.mass[i]:g} kg with principal inertias {np.linalg.eigvalsh(tree.inertia[i])} kg m^2"
@@ -93,7 +93,7 @@ def _write_joint(body: ET.Element, tree: Tree, i: int) -> None:
     else:
         parameters |= {"axis": numbers(tree.axis[i]), "springref": numbers(tree.rest[i, :1])}
     name, pos = f"{tree.link_name[i]}_joint", numbers(tree.anchor[i])
-    ET.SubElement(body, "joint", name=name, type=_KIND[kind], pos=pos, **parameters)
+    ET.SubElement(body, "joint", {"name": name, "type": _KIND[kind], "pos": pos, **parameters})
 
 
 def _write_inertial(body: ET.Element, tree: Tree, i: int) -> None:
@@ -105,7 +105,7 @@ def _write_inertial(body: ET.Element, tree: Tree, i: int) -> None:
         moments = {"diaginertia": numbers(np.diag(inertia))}
     else:
         moments = {"fullinertia": numbers(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])}
-    ET.SubElement(body, "inertial", pos=numbers(tree.com[i]), mass=numbers([tree.mass[i]]), **moments)
+    ET.SubElement(body, "inertial", {"pos": numbers(tree.com[i]), "mass": numbers([tree.mass[i]]), **moments})
 
 
 def _write_capsule(body: ET.Element, tree: Tree, s: int) -> None:
@@ -115,7 +115,7 @@ def _write_capsule(body: ET.Element, tree: Tree, s: int) -> None:
     if np.linalg.norm(end - start) < 1e-9:  # MuJoCo refuses a capsule without length
         form = {"type": "sphere", "pos": numbers(start)}
     size = numbers([tree.shape_radius[s].mean()])
-    ET.SubElement(body, "geom", **form, size=size, mass="0", contype="0", conaffinity="0", **look)
+    ET.SubElement(body, "geom", {**form, "size": size, "mass": "0", "contype": "0", "conaffinity": "0", **look})
 
 
 def numbers(values: Array | list[float]) -> str:

@@ -162,7 +162,7 @@ def _write_extension(joint: ET.Element, tree: Tree, i: int, kind: str) -> None:
     count = (4, 3) if kind == "spherical" else (1, 1)
     values = {"stiffness": numbers([tree.stiffness[i]]), "armature": numbers([tree.armature[i]])}
     values |= {"rest": numbers(tree.rest[i, : count[0]]), "preload": numbers(tree.preload[i, : count[1]])}
-    ET.SubElement(joint, "bough", joint=kind, **values)
+    ET.SubElement(joint, "bough", {"joint": kind, **values})
 
 
 def roll_pitch_yaw(matrix: Array) -> Array:

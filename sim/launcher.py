@@ -64,7 +64,7 @@ class Launcher:
         Launches are recorded once, so that a call costs microseconds and allocates nothing. With ``split`` false all
         groups run on the calling thread, as a graph capture needs.
         """
-        kernel.module.load(self.device)
+        kernel.module.load(self.device, block_dim=None if self.device.is_cuda else 1)  # as launches do: compile once
         threads = self.threads if split else 1
         ranges = self._ranges if split else [(0, self.model.groups)]
         commands = [

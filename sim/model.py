@@ -10,7 +10,7 @@ import warp as wp
 
 from ..kernels.layout import layout_of
 from . import rotation
-from .arrays import LaneArray
+from .arrays import LaneArray, integer_array
 from .errors import InputError
 from .host import lane_width
 from .parameters import Links, link_parameters
@@ -143,9 +143,7 @@ class Model:
         return {"inner": self._int(inner), "first": self._int(first)}
 
     def _int(self, values: IntArray) -> wp.array:
-        host = np.ascontiguousarray(values.T if self.device.is_cuda else values).astype(np.int32)
-        array = wp.array(host, dtype=int, device=self.device)
-        return array.transpose() if self.device.is_cuda and array.ndim == 2 else array
+        return integer_array(values, self.device)
 
     # ---- coordinates in MuJoCo's order ---------------------------------------------------------------------------
 

@@ -15,8 +15,10 @@ from ..kernels.reset import reset_kernels
 from ..kernels.stability import damping_kernel
 from ..kernels.step import step_kernels
 from . import rotation
+from .arrays import integer_array
 from .errors import InputError
 from .launcher import Launcher
+from .load import Load
 from .model import Model
 from .state import State
 from .tree import Array
@@ -69,7 +71,8 @@ class Simulator:
         self._kernels = step_kernels(model.width, model.precision)
         self._looks = observe_kernels(model.width, model.precision)
         self._steps: dict[tuple[int, bool], Callable[[], None]] = {}
-        self._load = None
+        self._looking: dict[bool, Callable[[], None]] = {}
+        self._load: Load | None = None
         self._index_slots()
         self._allocate_outputs()
         self._start = {name: model.field(kind) for name, kind in (("coordinate", "Quat"), ("velocity", "Vec"))}
@@ -87,7 +90,7 @@ class Simulator:
         link = np.full((len(world), m.places + 1), -1, np.int32)
         link[m.link_slot, m.link_place] = np.arange(len(m.link_slot)) - m.first_link[m.links.world]
         self._slot_world = wp.array(world, dtype=int, device=m.device)
-        self._slot_link = wp.array(link, dtype=int, device=m.device)
+        self._slot_link = integer_array(link, m.device)
 
     def _allocate_outputs(self) -> None:
         m = self.model
@@ -135,10 +138,10 @@ class Simulator:
             self._launcher.prepare(kernel, [self.model.kernel, state.kernel], after)()
 
     def step(self, count: int = 1) -> None:
-        """Advance all worlds by ``count`` steps of ``dt``."""
-        key = (count, True)
+        """Advance all worlds by ``count`` steps of ``dt``; inside a graph capture, in one launch that it records."""
+        key = (count, not self.model.device.is_capturing)
         if key not in self._steps:
-            self._steps[key] = self._prepare_step(count, split=True)
+            self._steps[key] = self._prepare_step(count, split=key[1])
         self._steps[key]()
 
     def _prepare_step(self, count: int, *, split: bool) -> Callable[[], None]:
@@ -146,7 +149,7 @@ class Simulator:
         before = [self._dynamics, self.state.kernel]
         if self._load is None:
             return self._launcher.prepare(self._kernels.step, before, after, split=split)
-        return self._launcher.prepare(self._kernels.step_loaded, [*before, self._load[0]], after, split=split)
+        return self._launcher.prepare(self._kernels.step_loaded, [*before, self._load.kernel], after, split=split)
 
     def capture(self, count: int = 1) -> Callable[[], None]:
         """Return a function that replays ``count`` steps and an observation as one graph (CPU and GPU)."""
@@ -157,18 +160,13 @@ class Simulator:
             look()
         return lambda: wp.capture_launch(scope.graph)
 
-    def apply_forces(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the forces [N, world axes] on every link and the points [m, link frame] they act at, to be written.
-
-        Both are views [groups, lanes, places + 1, 3] of the memory that the next steps read.
-        """
+    @property
+    def load(self) -> Load:
+        """Forces and efforts that the next steps apply, to be written in place; steps without cost nothing for them."""
         if self._load is None:
-            force, point = self.model.field("Vec"), self.model.field("Vec")
-            struct = layout_of(self.model.width, self.model.precision).Load()
-            struct.force, struct.point = force.kernel, point.kernel
-            self._load = (struct, force, point)
+            self._load = Load(self.model)
             self._steps.clear()
-        return self._load[1].torch, self._load[2].torch
+        return self._load
 
     # ---- resets --------------------------------------------------------------------------------------------------
 
@@ -179,7 +177,8 @@ class Simulator:
 
     def reset(self, mask: torch.Tensor | None = None) -> None:
         """Put the masked worlds (bool, [worlds]; None is all) back to their start and clear their faults."""
-        chosen = wp.from_torch(self._everyone if mask is None else mask.contiguous(), dtype=wp.bool)
+        mask = self._everyone if mask is None else mask.to(self._everyone.device)
+        chosen = wp.from_torch(mask.contiguous(), dtype=wp.bool)
         kernels, m = reset_kernels(self.model.precision), self.model
         for name, stored in self._start.items():
             field = getattr(self.state, name).entries()
@@ -192,9 +191,10 @@ class Simulator:
 
     def observe(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Write body frames into `position` and `rotation` and return both."""
-        if not hasattr(self, "_look"):
-            self._look = self._prepare_look(split=True)
-        self._look()
+        split = not self.model.device.is_capturing
+        if split not in self._looking:
+            self._looking[split] = self._prepare_look(split=split)
+        self._looking[split]()
         return self.position, self.rotation
 
     def _prepare_look(self, *, split: bool) -> Callable[[], None]:
@@ -237,7 +237,7 @@ class Probes:
                 place[m.world_slot[world], j] = m.link_place[n]
                 arm = np.asarray(point, np.float64) - m.links.anchor[n]
                 local[m.world_slot[world], j] = rotation.rotate(rotation.conjugate(m.links.frame[n]), arm)
-        self._place = wp.array(_per_group(place, m.width), dtype=int, device=m.device)
+        self._place = integer_array(_per_group(place, m.width), m.device)
         self._local = m.field("Vec", places=count)
         self._local.assign(local)
         self._position = wp.zeros((m.num_worlds, count), dtype=simulator._out3, device=m.device)

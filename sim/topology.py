@@ -71,7 +71,7 @@ def overlay(target: Node, source: Node) -> None:
 
 
 def numbered(root: Node) -> tuple[list[int], list[int]]:
-    """Number an overlay depth first from 1 (into ``link``); return parents and kinds with the world at 0."""
+    """Number an overlay's nodes in ``link``, depth first from 1; return parents and kinds with the world at 0."""
     parent, kind = [0], [0]
     root.link = 0
 

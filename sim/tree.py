@@ -7,8 +7,9 @@ parent's frame when its joint is at zero, and the joint turns it about `anchor`,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ from .errors import InputError
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+_LATER: Any = None  # replaced by an array of the right length in Tree.__post_init__
 
 
 class Joint(IntEnum):
@@ -79,16 +82,16 @@ class Tree:
     inertia: Array
     stiffness: Array
     damping: Array
-    anchor: Array = field(default=None)  # type: ignore[assignment]
-    axis: Array = field(default=None)  # type: ignore[assignment]
-    armature: Array = field(default=None)  # type: ignore[assignment]
-    rest: Array = field(default=None)  # type: ignore[assignment]
-    preload: Array = field(default=None)  # type: ignore[assignment]
-    level: IntArray = field(default=None)  # type: ignore[assignment]
-    shape_link: IntArray = field(default=None)  # type: ignore[assignment]
-    shape_start: Array = field(default=None)  # type: ignore[assignment]
-    shape_end: Array = field(default=None)  # type: ignore[assignment]
-    shape_radius: Array = field(default=None)  # type: ignore[assignment]
+    anchor: Array = _LATER
+    axis: Array = _LATER
+    armature: Array = _LATER
+    rest: Array = _LATER
+    preload: Array = _LATER
+    level: IntArray = _LATER
+    shape_link: IntArray = _LATER
+    shape_start: Array = _LATER
+    shape_end: Array = _LATER
+    shape_radius: Array = _LATER
 
     def __post_init__(self) -> None:
         n = len(self.link_name)
@@ -143,7 +146,7 @@ class Tree:
         return self
 
     def _validate_link(self, src: str, i: int, place: str) -> None:
-        def need(ok: bool, found: object, allowed: str) -> None:
+        def need(ok: bool | np.bool_, found: object, allowed: str) -> None:
             if not ok:
                 raise InputError(src, place, str(found), allowed)
 
@@ -161,9 +164,9 @@ class Tree:
         scalar = self.joint[i] in (Joint.REVOLUTE, Joint.PRISMATIC)
         need(not scalar or abs(np.linalg.norm(self.axis[i]) - 1) < 1e-6, f"axis {self.axis[i]}", "a unit vector")
 
-    def with_(self, **changes: object) -> Tree:
+    def with_(self, **changes: Any) -> Tree:
         """Return a copy with some fields exchanged."""
-        return replace(self, **changes)  # type: ignore[arg-type]
+        return replace(self, **changes)
 
 
 def _neutral(joints: IntArray) -> Array:

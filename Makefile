@@ -1,0 +1,58 @@
+# Everything is installed into .venv by the first target that needs it. `make` lists the targets.
+
+PYTHON ?= python3
+WORKERS ?= 2
+VENV := .venv
+BIN := $(VENV)/bin
+DEMO := out/demo
+PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint format bench docs clean
+
+help:  ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
+
+setup: $(VENV)/installed-test  ## install bough and what its tests need into .venv
+
+$(BIN)/python:
+	@command -v $(PYTHON) >/dev/null || { echo "bough needs Python 3.10 or later; there is no $(PYTHON)." \
+		"Name one: make PYTHON=/path/to/python3"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { echo "bough needs Python 3.10 or later;" \
+		"$(PYTHON) is $$($(PYTHON) -V 2>&1). Name another: make PYTHON=/path/to/python3"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+# .venv/name/bough is this folder under the package's name, for the tools that read source without importing it.
+$(VENV)/installed-%: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) install --editable ".[$*]" --constraint constraints.txt
+	@mkdir -p $(VENV)/name && ln -sfn ../.. $(VENV)/name/bough
+	@touch $@
+
+demo: $(VENV)/installed-test  ## grow a forest, simulate it, learn a branch's springs (minutes)
+	$(BIN)/bough forest --species Ta --count 64 --order 2 --noise 0.1 --seed 0 --out $(DEMO)/forest
+	$(BIN)/bough simulate $(DEMO)/forest/tree_0000.xml --worlds 64 --seconds 2 --precision 32 --out $(DEMO)/motion
+	$(BIN)/python tests/oracles/branch_case.py $(DEMO)/case --seed 1 --segments 3 --noise 0.03
+	$(BIN)/bough identify $(DEMO)/case --out $(DEMO)/identified
+	@echo
+	@echo "Look at $(DEMO)/forest/forest.png (the forest) and open $(DEMO)/identified/report.html (what was learnt)."
+
+test: $(VENV)/installed-test  ## run all tests (minutes)
+	$(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile
+
+lint: $(VENV)/installed-dev  ## check style, formatting and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(VENV)/installed-dev  ## mend what ruff can mend
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/installed-test  ## measure speed beside C MuJoCo (wants an idle machine)
+	$(BIN)/python benchmarks/tree.py
+
+docs: $(VENV)/installed-docs  ## build the documentation site in out/site
+	$(BIN)/mkdocs build --strict
+
+clean:  ## remove .venv, out and caches
+	rm -rf $(VENV) out build dist *.egg-info .cache .pytest_cache .mypy_cache .ruff_cache .hypothesis

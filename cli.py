@@ -1,0 +1,69 @@
+"""The command line: flat commands over the rooms, one line on what was written where.
+
+Exit codes: 0 done; 2 bad input, one line on stderr; 3 every world left the finite; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+
+from . import __version__
+from .learn.command_identify import Identify
+from .sim.command_forest import Forest
+from .sim.command_info import Info
+from .sim.command_simulate import Simulate
+from .sim.console import warn
+from .sim.errors import InputError
+
+_DESCRIPTION = """Thousands of different trees in parallel, and the springs of a real one from a measurement.
+
+Units are SI (m, kg, s, rad, N), quaternions w x y z, z is up. Same command, same seed: same files.
+`bough COMMAND --help` explains a command, `bough --version` prints the version."""
+
+Command = (
+    Annotated[Info, tyro.conf.subcommand("info")]
+    | Annotated[Forest, tyro.conf.subcommand("forest")]
+    | Annotated[Simulate, tyro.conf.subcommand("simulate")]
+    | Annotated[Identify, tyro.conf.subcommand("identify")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code; see the head of this module.
+
+    Raises:
+        SystemExit: Help was asked for (0) or an option does not exist (2).
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given == ["--version"]:
+        print(f"bough {__version__}")
+        return 0
+    warnings.showwarning = _show_warning
+    config = (tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone)
+    command: Command = tyro.cli(Command, args=given, prog="bough", description=_DESCRIPTION, config=config)  # type: ignore[arg-type]
+    try:
+        return _run(command)
+    except InputError as error:
+        print(f"bough: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("bough: interrupted; nothing was written", file=sys.stderr)
+        return 130
+
+
+def _run(command: Command) -> int:
+    if isinstance(command, Simulate) and command.source.is_dir():
+        from .learn.command_simulate_case import simulate_case
+
+        return simulate_case(command)
+    return command.run()
+
+
+def _show_warning(message: Warning | str, *_place: object, **_options: object) -> None:
+    """Print a Python warning as one line without the place in the code."""
+    warn(" ".join(str(message).split()))

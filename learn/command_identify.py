@@ -1,0 +1,39 @@
+"""``bough identify``: learn the springs of a measured branch, or the unknowns of measured joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from ..sim.console import shown, start_warp
+
+
+@dataclass(frozen=True)
+class Identify:
+    """Learn a case's springs and dampers with intervals; write posterior.npz, report.json, figures and report.html.
+
+    Attributes:
+        case: Case folder: meta.yaml and one CSV a trajectory.
+        out: Folder to write to.
+        particles: Samples of the posterior.
+        iterations: Steps of Stein variational gradient descent.
+        seed: Seed of everything random.
+    """
+
+    case: tyro.conf.Positional[Path]
+    out: Path
+    particles: int = 32
+    iterations: int = 60
+    seed: int = 0
+
+    def run(self) -> int:
+        """Identify the case and say where the report is; return 0."""
+        start_warp()
+        from .identify import Settings, identify
+
+        settings = Settings(particles=self.particles, iterations=self.iterations, seed=self.seed)
+        report = identify(self.case, self.out, settings)
+        print(f"Open {shown(report)}")
+        return 0

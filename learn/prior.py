@@ -1,0 +1,78 @@
+"""Priors over vectors of logarithms of parameters: small differentiable modules that add up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+
+class Prior(torch.nn.Module):
+    """A log density, up to a constant, of vectors [..., n]."""
+
+    def forward(self, theta: torch.Tensor) -> torch.Tensor:
+        """Return the log density, shape [...]."""
+        raise TypeError(f"{type(self).__name__} defines no density")
+
+
+class SmoothBox(Prior):
+    """Flat inside a box, with Gaussian tails of width ``sigma`` outside it.
+
+    log p = -d^2 / (2 sigma^2), d the distance to the box. This is the form of GPyTorch's code; thesis eq. 3.13 prints
+    sqrt(2 sigma^2) instead. On logarithms, so that parameters stay positive whatever the box.
+
+    Args:
+        low: Lower ends, shape [n].
+        high: Upper ends, shape [n].
+        sigma: Width of the tails, in units of the logarithm.
+    """
+
+    low: torch.Tensor
+    high: torch.Tensor
+
+    def __init__(self, low: torch.Tensor, high: torch.Tensor, sigma: float = 0.1) -> None:
+        super().__init__()
+        self.register_buffer("low", low)
+        self.register_buffer("high", high)
+        self.sigma = sigma
+
+    def forward(self, theta: torch.Tensor) -> torch.Tensor:
+        """Return the log density, shape [...]."""
+        distance = torch.clamp(self.low - theta, min=0.0) + torch.clamp(theta - self.high, min=0.0)
+        return -(distance**2).sum(-1) / (2.0 * self.sigma**2)
+
+
+class Normal(Prior):
+    """Independent normal densities; on logarithms of parameters, log-normal ones.
+
+    Args:
+        mean: Means, shape [n].
+        sigma: Standard deviations, shape [n].
+    """
+
+    mean: torch.Tensor
+    sigma: torch.Tensor
+
+    def __init__(self, mean: torch.Tensor, sigma: torch.Tensor) -> None:
+        super().__init__()
+        self.register_buffer("mean", mean)
+        self.register_buffer("sigma", sigma)
+
+    def forward(self, theta: torch.Tensor) -> torch.Tensor:
+        """Return the log density, shape [...]."""
+        return -(((theta - self.mean) / self.sigma) ** 2).sum(-1) / 2.0
+
+
+class Blocks(Prior):
+    """Independent priors over consecutive parts of a vector."""
+
+    def __init__(self, parts: Sequence[tuple[int, Prior]]) -> None:
+        """Take (length, prior) of every part."""
+        super().__init__()
+        self.sizes = [n for n, _ in parts]
+        self.priors = torch.nn.ModuleList([p for _, p in parts])
+
+    def forward(self, theta: torch.Tensor) -> torch.Tensor:
+        """Return the log density, shape [...]."""
+        pieces = torch.split(theta, self.sizes, dim=-1)
+        return torch.stack([p(x) for p, x in zip(self.priors, pieces, strict=True)]).sum(0)

@@ -1,0 +1,192 @@
+"""Replaying recorded trajectories with many sets of parameters at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import warp as wp
+
+from ..kernels.rollout import rollout_kernels
+from ..kernels.stability import damping_kernel
+from ..sim.arrays import LaneArray
+from ..sim.host import simd_width
+from ..sim.model import Model
+from ..sim.simulator import Simulator
+from ..sim.tree import Array
+from .case import BranchCase, JointCase
+from .plant import BranchPlant, JointPlant, plant_of
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One trajectory as inference uses it.
+
+    Attributes:
+        t: Times [s], shape [T].
+        input: What acts at the samples: force [N] shape [T, 3], or joint effort in the first column.
+        output: Measured channels, shape [T, C].
+        start: Coordinate and rate of the watched joints at the first sample, shape [J, 2]; empty where it starts at rest.
+    """
+
+    t: Array
+    input: Array
+    output: Array
+    start: Array
+
+
+def recordings(case: BranchCase | JointCase) -> list[Recording]:
+    """Return a case's trajectories; a branch's force is exactly zero where the gripper is known to be open."""
+    if isinstance(case, BranchCase):
+        return [
+            Recording(t.t, np.where(t.no_contact[:, None], 0.0, t.force), np.hstack([t.displacement, t.velocity]),
+                      np.zeros((0, 2)))
+            for t in case.trajectories
+        ]  # fmt: skip
+    out = []
+    for t in case.trajectories:
+        drive = np.zeros((len(t.t), 3))
+        if t.input is not None:
+            drive[:, 0] = t.input
+        out.append(Recording(t.t, drive, t.output, _first_state(case, t.output, t.t)))
+    return out
+
+
+def _first_state(case: JointCase, output: Array, t: Array) -> Array:
+    """Guess coordinate and rate of every joint at the first sample from a line or parabola through the first samples."""
+    start = np.zeros((len(case.joints), 2))
+    n = max(3, min(len(t), int(0.02 * len(t)) + 1, 40))
+    names = [j.name for j in case.joints]
+    for c, channel in enumerate(case.outputs):
+        joint = names.index(channel.joint)
+        if channel.quantity == "position":
+            coefficients = np.polynomial.polynomial.polyfit(t[:n], output[:n, c], 2 if n > 4 else 1)
+            start[joint] = coefficients[:2]
+        elif channel.quantity == "velocity":
+            start[joint, 1] = output[:n, c].mean()
+    return start
+
+
+class Rollout:
+    """Simulates R recordings for S sets of parameters: one world each, all in one launch, nothing copied to the host.
+
+    Worlds are ordered by recording, then by set; sets are padded to whole groups of lanes.
+
+    Attributes:
+        num_sets: Sets S that a call takes.
+        num_locals: Numbers of a start state per recording (two a joint; none for a branch at rest).
+        world_steps: World-steps taken so far.
+    """
+
+    def __init__(
+        self, case: BranchCase | JointCase, chosen: Sequence[Recording], num_sets: int, *, device: object = None
+    ) -> None:
+        self.case, self.plant = case, plant_of(case)
+        self.recordings = list(chosen)
+        self.num_sets, self.num_locals = num_sets, chosen[0].start.size
+        self.device = wp.get_device(device)
+        width = 1 if self.device.is_cuda else simd_width()
+        self._blocks = -(-num_sets // width)
+        worlds = [self.plant.tree] * (len(chosen) * self._blocks * width)
+        self.model = Model(worlds, gravity=self.plant.gravity, device=self.device, width=width)
+        self.substeps = max(1, int(np.ceil(case.dt / self.plant.substep - 1e-9)))
+        self.simulator = Simulator(self.model, dt=case.dt, substeps=self.substeps)
+        self._samples = np.array([len(r.t) for r in chosen])
+        self.world_steps = 0
+        self._prepare()
+
+    def _prepare(self) -> None:
+        m, sim, dev = self.model, self.simulator, self.device
+        longest, count = int(self._samples.max()), len(self.recordings)
+        inputs = np.zeros((count, longest, 3))
+        for j, r in enumerate(self.recordings):
+            inputs[j, : len(r.t)] = r.input
+        trajectory = wp.array(np.repeat(np.arange(count), self._blocks), dtype=int, device=dev)
+        length = wp.array(self._samples, dtype=int, device=dev)
+        drive = wp.array(inputs, dtype=wp.vec3d, device=dev)
+        kernels = rollout_kernels(m.width, m.precision)
+        before = [sim._dynamics, sim.state.kernel, sim.load.kernel]
+        if isinstance(self.plant, BranchPlant):
+            link, point = self.plant.grasp
+            place = int(m.link_place[link])
+            frame = m.links.frame[link]
+            from ..sim.rotation import conjugate, rotate
+
+            sim.load.point.torch[:, :, place] = torch.as_tensor(
+                rotate(conjugate(frame), point - m.links.anchor[link]), dtype=sim.load.point.torch.dtype, device=str(dev)
+            )
+            self.channels = 6
+            kernel, before = kernels.point, [*before, place, trajectory, length, drive]
+        else:
+            kernel, before = kernels.joint, [*before, *self._joints(), trajectory, length, drive]
+        self._output: LaneArray = m.field("Real", places=longest * self.channels)
+        after = [self.substeps, sim.dt / self.substeps, sim.max_speed, self._output.kernel]
+        self._replay = sim._launcher.prepare(kernel, before, after)
+
+    def _joints(self) -> list[object]:
+        plant, case = self.plant, self.case
+        assert isinstance(plant, JointPlant) and isinstance(case, JointCase)
+        names = [j.name for j in plant.joints]
+        place = self.model.link_place
+        driven = int(place[names.index(case.input.joint)]) if case.input else int(place[0])
+        linear = int(case.input is None or case.input.hold == "linear")
+        watched = wp.array(place[: len(names)].astype(np.int32), dtype=int, device=self.device)
+        self.channels = 3 * len(names)
+        quantity = {"position": 0, "velocity": 1, "acceleration": 2}
+        self._select = [3 * names.index(o.joint) + quantity[o.quantity] for o in case.outputs]
+        return [driven, linear, watched]
+
+    def _write(self, field: str, place: int, component: int, values: torch.Tensor) -> None:
+        target = self.model.arrays[field].torch.unflatten(0, (len(self.recordings), self._blocks))
+        target[:, :, :, place, component] = values
+
+    def __call__(self, values: torch.Tensor, start: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the channels of every recording for every set.
+
+        Args:
+            values: Parameters in SI units, shape [S, n].
+            start: Coordinates and rates at the first sample, shape [S, R, J, 2]; None takes the recordings' guess.
+
+        Returns:
+            float64, shape [S, R, T, C]; samples past a recording's end are zero.
+        """
+        sim, width = self.simulator, self.model.width
+        self.plant.write(self._padded(values).view(self._blocks, width, -1).flatten(0, 1), self.model, self._blocked)
+        self._reset(start)
+        sim.refresh()
+        self._replay()
+        self.world_steps += int(self._samples.sum()) * self.substeps * self._blocks * width
+        out = self._output.torch[..., 0].unflatten(0, (len(self.recordings), self._blocks))
+        out = out.unflatten(-1, (-1, self.channels)).flatten(1, 2)[:, : self.num_sets].transpose(0, 1).double()
+        if isinstance(self.plant, BranchPlant):
+            return torch.cat([out[..., :3] - out[:, :, :1, :3], out[..., 3:]], dim=-1)
+        return out[..., self._select]
+
+    def _blocked(self, field: str, place: int, component: int, values: torch.Tensor) -> None:
+        self._write(field, place, component, values.view(self._blocks, self.model.width))
+
+    def _padded(self, values: torch.Tensor) -> torch.Tensor:
+        extra = self._blocks * self.model.width - self.num_sets
+        if values.shape[0] != self.num_sets:
+            raise ValueError(f"{values.shape[0]} sets of parameters; this rollout takes {self.num_sets}")
+        return torch.cat([values, values[-1:].expand(extra, *values.shape[1:])]).to(self._output.torch.dtype)
+
+    def _reset(self, start: torch.Tensor | None) -> None:
+        state = self.simulator.state
+        state.coordinate.torch.zero_()
+        state.coordinate.torch[..., 0] = 1.0
+        state.velocity.torch.zero_()
+        state.alive.torch.fill_(1.0)
+        if self.num_locals == 0:
+            return
+        if start is None:
+            guess = torch.as_tensor(np.stack([r.start for r in self.recordings]), device=state.velocity.torch.device)
+            start = guess.expand(self.num_sets, *guess.shape)
+        rows = self._padded(start).view(self._blocks, self.model.width, *start.shape[1:])
+        for field, entry, c in ((state.coordinate, 1, 0), (state.velocity, 0, 1)):
+            target = field.torch.unflatten(0, (len(self.recordings), self._blocks))
+            for i in range(start.shape[2]):
+                place = int(self.model.link_place[i])
+                target[:, :, :, place, entry] = rows[:, :, :, i, c].permute(2, 0, 1)

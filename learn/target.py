@@ -1,0 +1,164 @@
+"""The batched log posterior that every sampler climbs.
+
+A vector theta holds, in this order: logarithms of the plant's parameters (n), start states of every recording
+(coordinate and rate of each joint; none for a branch at rest), logarithms of the noise of every group of channels (g;
+none under the published loss).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+
+from .case import BranchCase, JointCase
+from .plant import box_of
+from .prior import Blocks, Normal, Prior, SmoothBox
+from .rollout import Recording, Rollout
+
+Loss = Literal["gaussian", "published"]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The target at P vectors: log posterior [P], its gradient [P, D], predictions [P, R, T, C]."""
+
+    log_posterior: torch.Tensor
+    gradient: torch.Tensor
+    prediction: torch.Tensor
+
+
+class Target:
+    """Log posterior and its gradient for P vectors, by one batch of worlds: P x offsets x recordings.
+
+    The simulator's Jacobian is taken by central differences; likelihood and prior are differentiated exactly. The
+    Gaussian likelihood has one inferred noise for each group of channels. The published loss (thesis eq. 3.5, 3.9) is
+
+        log p = -(1 / kT) sum over recordings of ||displacement error||_2 + ||velocity error||_2.
+
+    Attributes:
+        num_dims: Length D of theta.
+        sigma0: Noise estimate of every channel, shape [C].
+    """
+
+    SPACING = 0.01
+    LOG_NOISE_SIGMA = 1.0
+
+    def __init__(
+        self,
+        case: BranchCase | JointCase,
+        chosen: Sequence[Recording],
+        sigma: torch.Tensor,
+        *,
+        loss: Loss = "gaussian",
+        temperature: float = 0.01,
+        device: object = None,
+    ) -> None:
+        self.case, self.recordings, self.loss, self.temperature, self.device = case, list(chosen), loss, temperature, device
+        self._rollouts: dict[int, Rollout] = {}
+        self.plant = self.rollout(1).plant
+        self.sigma0 = sigma.double()
+        self.groups = torch.tensor([0, 0, 0, 1, 1, 1]) if isinstance(case, BranchCase) else torch.arange(len(sigma))
+        self.num_parameters = len(self.plant.parameters)
+        self.start0 = torch.stack([torch.as_tensor(r.start) for r in chosen])
+        self.num_starts = self.start0.numel()
+        self.num_noise = int(self.groups.max()) + 1 if loss == "gaussian" else 0
+        self.num_dims = self.num_parameters + self.num_starts + self.num_noise
+        self._stack_outputs()
+        self.prior = self._prior()
+
+    def _stack_outputs(self) -> None:
+        longest = max(len(r.t) for r in self.recordings)
+        channels = self.recordings[0].output.shape[1]
+        self.measured = torch.zeros(len(self.recordings), longest, channels, dtype=torch.float64)
+        self.weight = torch.zeros(len(self.recordings), longest, 1, dtype=torch.float64)
+        for j, r in enumerate(self.recordings):
+            self.measured[j, : len(r.t)] = torch.as_tensor(r.output)
+            self.weight[j, : len(r.t)] = 1.0
+        scale = self.measured.abs().amax((0, 1)).clamp(min=1e-9)
+        self.start_scale = scale.max().item()
+        self.per_group = torch.stack([self.weight.sum() * (self.groups == g).sum() for g in range(int(self.groups.max()) + 1)])
+        self.log_noise0 = torch.stack(
+            [(self.sigma0[self.groups == g] ** 2).mean().sqrt().log() for g in range(int(self.groups.max()) + 1)]
+        )
+
+    def _prior(self) -> Prior:
+        low, high = box_of(self.plant.parameters)
+        wide = torch.full((self.num_starts,), 10.0 * max(self.start_scale, 1.0), dtype=torch.float64)
+        parts: list[tuple[int, Prior]] = [
+            (self.num_parameters, SmoothBox(low, high)),
+            (self.num_starts, Normal(self.start0.flatten(), wide)),
+        ]
+        if self.num_noise:
+            # a misfit far above the measured noise must be able to raise it: a wide log-normal
+            spread = torch.full((self.num_noise,), self.LOG_NOISE_SIGMA * 5.0, dtype=torch.float64)
+            parts.append((self.num_noise, Normal(self.log_noise0, spread)))
+        return Blocks(parts)
+
+    def rollout(self, num_sets: int) -> Rollout:
+        """Return the rollout for a number of sets, built once."""
+        if num_sets not in self._rollouts:
+            self._rollouts[num_sets] = Rollout(self.case, self.recordings, num_sets, device=self.device)
+        return self._rollouts[num_sets]
+
+    @property
+    def world_steps(self) -> int:
+        """World-steps taken so far."""
+        return sum(r.world_steps for r in self._rollouts.values())
+
+    def split(self, theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Split [P, D] into log parameters [P, n], start states [P, R, J, 2] and log noise [P, g]."""
+        u, s, noise = torch.split(theta, [self.num_parameters, self.num_starts, self.num_noise], dim=-1)
+        return u, s.reshape(len(theta), *self.start0.shape), noise
+
+    def predict(self, theta: torch.Tensor) -> torch.Tensor:
+        """Return predictions [P, R, T, C]."""
+        u, start, _ = self.split(theta)
+        return self.rollout(len(theta))(u.exp(), start if self.num_starts else None)
+
+    def linearise(self, theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return predictions [P, R, T, C] and their derivatives [P, m, R, T, C] by central differences.
+
+        The m directions are the n parameters, then the entries of the start state, each moved in all recordings at
+        once: a recording feels its own alone.
+        """
+        u, start, _ = self.split(theta)
+        n, local = self.num_parameters, self.start0[0].numel()
+        steps = torch.full((n + local,), self.SPACING, dtype=torch.float64)
+        steps[n:] *= self.start_scale
+        offsets = torch.diag(steps)
+        offsets = torch.cat([torch.zeros(1, n + local, dtype=torch.float64), offsets, -offsets])
+        us = u[:, None] + offsets[:, :n]
+        starts = start[:, None] + offsets[:, n:].reshape(len(offsets), 1, *self.start0.shape[1:])
+        flat = self.rollout(len(theta) * len(offsets))(us.flatten(0, 1).exp(), starts.flatten(0, 1) if local else None)
+        out = flat.unflatten(0, (len(theta), len(offsets)))
+        m = n + local
+        return out[:, 0], (out[:, 1 : m + 1] - out[:, m + 1 :]) / (2.0 * steps[:, None, None, None])
+
+    def residual(self, prediction: torch.Tensor) -> torch.Tensor:
+        """Return measured minus predicted, zero past a recording's end, [P, R, T, C]."""
+        return (self.measured - prediction) * self.weight
+
+    def log_likelihood(self, prediction: torch.Tensor, log_noise: torch.Tensor) -> torch.Tensor:
+        """Return the log likelihood [P] of predictions [P, R, T, C]."""
+        r = self.residual(prediction)
+        if self.loss == "published":
+            by_kind = torch.stack([(r[..., self.groups == g] ** 2).sum((-1, -2)) for g in self.groups.unique()], -1)
+            return -(by_kind + 1e-30).sqrt().sum((-1, -2)) / self.temperature
+        squares = torch.stack([(r[..., self.groups == g] ** 2).sum((-1, -2, -3)) for g in range(self.num_noise)], -1)
+        return (-0.5 * squares * torch.exp(-2.0 * log_noise) - self.per_group * log_noise).sum(-1)
+
+    def evaluate(self, theta: torch.Tensor) -> Evaluation:
+        """Evaluate the log posterior and its gradient at [P, D]."""
+        prediction, derivative = self.linearise(theta)
+        leaf, free = prediction.detach().requires_grad_(), theta.detach().requires_grad_()
+        noise = self.split(free)[2]
+        log_posterior = self.log_likelihood(leaf, noise) + self.prior(free)
+        by_output, by_theta = torch.autograd.grad(log_posterior.sum(), (leaf, free))
+        by_recording = torch.einsum("prtc,pmrtc->pmr", by_output, derivative)
+        n = self.num_parameters
+        chained = [by_recording[:, :n].sum(-1), by_recording[:, n:].transpose(1, 2).flatten(1)]
+        gradient = by_theta + torch.nn.functional.pad(torch.cat(chained, 1), (0, self.num_noise))
+        return Evaluation(log_posterior.detach(), gradient, prediction)

@@ -1,0 +1,66 @@
+"""What a command shows while it works: progress bars, warnings, and nothing of Warp's own."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def bar(text: str, total: int | None) -> Iterator[Callable[[int], None]]:
+    """Show a progress bar on stderr while the block runs; yield the function that advances it by so many.
+
+    Without a ``total`` the bar only shows that something happens, and for how long. It vanishes at the end, and where
+    stderr is no terminal nothing is shown.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    counter = [] if total is None else [MofNCompleteColumn()]
+    columns = [TextColumn("{task.description}"), BarColumn(), *counter, TimeElapsedColumn()]
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(text, total=total)
+        yield lambda count: progress.update(task, advance=count)
+
+
+def warn(text: str) -> None:
+    """Print one line of warning on stderr."""
+    print(f"bough: warning: {text}", file=sys.stderr)
+
+
+def start_warp() -> None:
+    """Initialise Warp without its greeting and without its complaint that there is no GPU; keep what else it says."""
+    import warp as wp
+
+    wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
+    for line in _said_by_native_code(wp.init):
+        if "CUDA driver" not in line:
+            print(line, file=sys.stderr)
+
+
+def _said_by_native_code(call: Callable[[], object]) -> list[str]:
+    """Return the lines that ``call`` writes to file descriptor 2, past Python's own ``sys.stderr``."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with tempfile.TemporaryFile() as heard:
+        os.dup2(heard.fileno(), 2)
+        try:
+            call()
+        finally:
+            sys.stderr.flush()
+            os.dup2(kept, 2)
+            os.close(kept)
+        heard.seek(0)
+        return heard.read().decode(errors="replace").splitlines()
+
+
+def shown(path: str | Path) -> str:
+    """Return a path as the last line of a command prints it: short where it lies under the present folder."""
+    absolute = Path(path).absolute()
+    here = Path.cwd()
+    return str(absolute.relative_to(here)) if absolute.is_relative_to(here) else str(absolute)
