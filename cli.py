@@ -1,6 +1,7 @@
 """The command line: flat commands over the rooms, one line on what was written where.
 
-Exit codes: 0 done; 2 bad input, one line on stderr; 3 every world left the finite; 130 interrupted.
+Exit codes: 0 done; 1 the machine failed (a full disk); 2 bad input, one line on stderr; 3 every world left the finite;
+130 interrupted.
 """
 
 from __future__ import annotations
@@ -54,6 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("bough: interrupted; nothing was written", file=sys.stderr)
         return 130
+    except OSError as error:  # what reading and writing did not foresee: a full disk, a folder closed to us
+        print(f"bough: {error.filename or command.__class__.__name__.lower()}: {error.strerror}", file=sys.stderr)
+        return 2 if isinstance(error, PermissionError) else 1
 
 
 def _run(command: Command) -> int:

@@ -47,7 +47,7 @@ PRISMATIC = wp.constant(3)
 # ---- outward: poses, spins and nominal accelerations -------------------------------------------------------------
 
 
-@wp.func
+@wp.func(inline=True)
 def place_root(e: int, row: int, m: Any, s: Any):
     """Put the world at rest, accelerating against gravity so that no link needs its weight as a force."""
     like = m.offset[e, 1]
@@ -61,7 +61,7 @@ def place_root(e: int, row: int, m: Any, s: Any):
     s.accel[row, 0] = zero
 
 
-@wp.func
+@wp.func(inline=True)
 def place_links(e: int, row: int, m: Any, x: Any, s: Any):
     """Place every link: pose, offset r from the parent's joint point, spin w, nominal accelerations.
 
@@ -103,6 +103,7 @@ def place_scalar(e: int, row: int, i: int, p: int, kind: int, m: Any, x: Any, s:
         s.pose[row, i] = rest_pose
         offset = add_scaled(r, axis, x.coordinate[e, i].x)
         s.r[row, i] = offset
+        s.relative[row, i] = relative
         s.spin[row, i] = spin
         s.alpha0[row, i] = alpha0
         sliding = add_cross(accel0, spin, relative + relative)
@@ -123,7 +124,7 @@ def place_scalar(e: int, row: int, i: int, p: int, kind: int, m: Any, x: Any, s:
 # ---- inward: articulated inertia ---------------------------------------------------------------------------------
 
 
-@wp.func
+@wp.func(inline=True)
 def own_inertia(e: int, row: int, i: int, m: Any, s: Any):
     """Rotational inertia of a link about its joint point, in world axes, from its principal moments.
 
@@ -153,28 +154,28 @@ def own_inertia(e: int, row: int, i: int, m: Any, s: Any):
     )
 
 
-@wp.func
+@wp.func(inline=True)
 def own_force(row: int, i: int, s: Any, mass: Any, mc: Any):
     """Force of a link's nominal motion: f0 = m a0 + al0 x m c + w x (w x m c)."""
     spin = s.spin[row, i]
     return add_cross(add_cross(s.accel0[row, i] * mass, s.alpha0[row, i], mc), spin, cross(spin, mc))
 
 
-@wp.func
+@wp.func(inline=True)
 def own_moment(row: int, i: int, s: Any, A: Any, mc: Any):
     """Moment of a link's nominal motion about its joint point: n0 = I al0 + m c x a0 + w x I w."""
     spin = s.spin[row, i]
     return add_cross(add_cross(A * s.alpha0[row, i], mc, s.accel0[row, i]), spin, A * spin)
 
 
-@wp.func
+@wp.func(inline=True)
 def skew(v: Any, like: Any):
     """[v x] as columns, of the type of ``like``."""
     o = real(0.0, v.x)
     return type(like)(type(v)(o, v.z, o - v.y), type(v)(o - v.z, o, v.x), type(v)(v.y, o - v.x, o))
 
 
-@wp.func
+@wp.func(inline=True)
 def fold_links(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64):
     """Fold every link's articulated inertia into its parent's, from the tips inward."""
     n = m.count[e]
@@ -189,7 +190,7 @@ def fold_links(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64):
         fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i])
 
 
-@wp.func
+@wp.func(inline=True)
 def fold_links_loaded(e: int, row: int, m: Any, x: Any, u: Any, s: Any, h: wp.float64):
     """Fold as `fold_links` does, under forces applied at points of the links and efforts applied at the joints."""
     n = m.count[e]
@@ -293,7 +294,7 @@ def fold_other(
             fold_scalar(e, row, i, p, m, s, A, B, M, n, f, axis, B * axis, uf, k + dot(axis, uf), t - dot(axis, f))
 
 
-@wp.func
+@wp.func(inline=True)
 def fold_scalar(
     e: int, row: int, i: int, p: int, m: Any, s: Any, A: Any, B: Any, M: Any, n: Any, f: Any, axis: Any, un: Any,
     uf: Any, d: Any, t: Any,
@@ -310,7 +311,7 @@ def fold_scalar(
                 add_scaled(f, vf, t))  # fmt: skip
 
 
-@wp.func
+@wp.func(inline=True)
 def hand_in(e: int, row: int, i: int, p: int, m: Any, s: Any, A: Any, B: Any, M: Any, n: Any, f: Any):
     """Move a link's inertia and bias from its joint point to its parent's (offset r) and hand them in there.
 
@@ -350,7 +351,7 @@ def hand_in(e: int, row: int, i: int, p: int, m: Any, s: Any, A: Any, B: Any, M:
 # ---- outward: accelerations and the step -------------------------------------------------------------------------
 
 
-@wp.func
+@wp.func(inline=True)
 def advance_links(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64, bound: wp.float64):
     """Solve every joint's acceleration outward and take the step: qd += h qdd, then q <- q exp(h qd).
 
@@ -406,7 +407,7 @@ def advance_scalar(
     x.velocity[e, i] = type(v)(where_neg(keep, v.x, new), v.y, v.z)
 
 
-@wp.func
+@wp.func(inline=True)
 def commit_spherical(e: int, i: int, x: Any, keep: Any, q: Any, new_q: Any, v: Any, new: Any):
     """Write the new state of the worlds that are alive; the others keep the old one."""
     x.coordinate[e, i] = type(q)(
@@ -418,7 +419,7 @@ def commit_spherical(e: int, i: int, x: Any, keep: Any, q: Any, new_q: Any, v: A
     x.velocity[e, i] = type(v)(where_neg(keep, v.x, new.x), where_neg(keep, v.y, new.y), where_neg(keep, v.z, new.z))
 
 
-@wp.func
+@wp.func(inline=True)
 def guarded(e: int, i: int, m: Any, x: Any, speed2: Any, bound: wp.float64):
     """Return the factor that a joint's new velocity is scaled by: 1, unless its squared speed leaves the limit.
 
@@ -463,7 +464,7 @@ def freeze(e: int, i: int, x: Any, verdict: Any):
     x.alive[e] = where_neg(verdict, verdict, x.alive[e])
 
 
-@wp.func
+@wp.func(inline=True)
 def advance(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64, bound: wp.float64):
     """Take one semi-implicit step of length h [s] without applied forces."""
     place_root(e, row, m, s)
@@ -473,7 +474,7 @@ def advance(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64, bound: wp.f
     x.tick[e] = x.tick[e] + 1
 
 
-@wp.func
+@wp.func(inline=True)
 def advance_loaded(e: int, row: int, m: Any, x: Any, u: Any, s: Any, h: wp.float64, bound: wp.float64):
     """Take one semi-implicit step of length h [s] under forces applied at points of the links."""
     place_root(e, row, m, s)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from ..sim.console import shown, start_warp
+from ..sim.console import bars, shown, start_warp, warn
 
 
 @dataclass(frozen=True)
@@ -24,16 +24,21 @@ class Identify:
 
     case: tyro.conf.Positional[Path]
     out: Path
-    particles: int = 32
+    particles: int = 64
     iterations: int = 60
     seed: int = 0
 
     def run(self) -> int:
-        """Identify the case and say where the report is; return 0."""
+        """Identify the case, say what came out and where the report is; return 0."""
         start_warp()
-        from .identify import Settings, identify
+        from .identify import Settings, headline, identify
 
         settings = Settings(particles=self.particles, iterations=self.iterations, seed=self.seed)
-        report = identify(self.case, self.out, settings)
-        print(f"Open {shown(report)}")
+        stages = {"finding modes": None, "moving particles": self.iterations, "predicting": 1}
+        says = dict(zip(("modes", "particles", "prediction"), stages, strict=True))
+        with bars(stages) as advance:
+            outcome = identify(self.case, self.out, settings, lambda stage, done: advance(says[stage], done))
+        for line in outcome.case.warnings:
+            warn(line)
+        print(f"{headline(outcome)[0]} Open {shown(self.out)}/report.html")
         return 0

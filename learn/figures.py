@@ -109,7 +109,7 @@ def posterior_figure(samples: Array, names: Sequence[str]) -> Figure:
         for i, ax in enumerate(axes):
             _marginal(ax, samples[:, i], names[i]) if i < n else ax.set_visible(False)
         return figure
-    figure = Figure(figsize=(WIDTH, 3.0 if n == 1 else WIDTH * (0.55 if n == 2 else 0.92)), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 3.0 if n == 1 else WIDTH * (0.55 if n == 2 else 1.0)), layout="constrained")
     axes = figure.subplots(n, n, squeeze=False, sharex="col")
     for i in range(n):
         for j in range(n):
@@ -120,8 +120,8 @@ def posterior_figure(samples: Array, names: Sequence[str]) -> Figure:
                 _marginal(ax, samples[:, i], names[i] if i == n - 1 else "")
             else:
                 _pair(ax, samples[:, j], samples[:, i])
-                ax.set_xlabel(_wrapped(names[j]) if i == n - 1 else "")
-                ax.set_ylabel(_wrapped(names[i]) if j == 0 else "")
+                ax.set_xlabel(_wrapped(names[j]) if i == n - 1 else "", fontsize=8)
+                ax.set_ylabel(_wrapped(names[i]) if j == 0 else "", fontsize=8)
                 ax.tick_params(labelleft=j == 0)
             ax.locator_params(axis="x", nbins=4)
             ax.tick_params(axis="x", labelrotation=45 if n > 4 else 0)
@@ -134,22 +134,25 @@ def _marginal(ax: Axes, x: Array, label: str) -> None:
     ax.hist(x, bins=min(30, max(8, len(x) // 6)), color=MODEL, alpha=0.55)
     ax.axvspan(low, high, color=MODEL, alpha=0.12, linewidth=0)
     ax.axvline(middle, color=MODEL)
-    middle_text, low_text, high_text = (f"{v:#.3g}".removesuffix(".") for v in (middle, low, high))
+    digits = max(3, 2 + int(np.floor(np.log10(max(abs(high), 1e-300))) - np.floor(np.log10(max(high - low, 1e-300)))))
+    middle_text, low_text, high_text = (f"{v:#.{min(digits, 9)}g}".removesuffix(".") for v in (middle, low, high))
     ax.set_title(f"{middle_text}\n({low_text} to {high_text})", fontsize=9)
-    ax.set_xlabel(_wrapped(label))
+    ax.set_xlabel(_wrapped(label), fontsize=8)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
     ax.locator_params(axis="x", nbins=3)
 
 
 def _pair(ax: Axes, x: Array, y: Array) -> None:
-    ax.plot(x, y, ".", color=MODEL, markersize=3, alpha=0.5, markeredgewidth=0)
+    ax.plot(x, y, ".", color=MODEL, markersize=5, alpha=0.5, markeredgewidth=0)
     ax.text(0.97, 0.95, f"r = {np.corrcoef(x, y)[0, 1]:.2f}", transform=ax.transAxes, ha="right", va="top", fontsize=8,
             color="#555555")  # fmt: skip
 
 
 def _wrapped(label: str) -> str:
-    return label.replace(" [", "\n[")
+    """Put every word of a name on a line of its own, and the unit below."""
+    name, _, unit = label.partition(" [")
+    return "\n".join([*name.split(), f"[{unit}" if unit else ""]).rstrip()
 
 
 @_styled

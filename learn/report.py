@@ -44,6 +44,14 @@ class ParameterRow:
     high: float
     unit: str
 
+    @property
+    def digits(self) -> int:
+        """Significant digits that tell the ends of the interval apart, at least three."""
+        width, size = self.high - self.low, max(abs(self.low), abs(self.high))
+        if not (math.isfinite(width) and width > 0 and size > 0):
+            return 3
+        return max(3, min(9, 2 + math.floor(math.log10(size)) - math.floor(math.log10(width))))
+
 
 @dataclass(frozen=True)
 class ReportFigure:

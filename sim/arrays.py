@@ -23,7 +23,7 @@ def integer_array(values: IntArray, device: Any) -> wp.array:
     """Return ``values`` [groups] or [groups, places] as a Warp array of int32, in the device's memory order."""
     flipped = link_major(device) and values.ndim == 2
     host = np.ascontiguousarray(values.T if flipped else values, dtype=np.int32)
-    array = wp.array(host, dtype=int, device=device)
+    array: wp.array = wp.array(host, dtype=int, device=device)
     return array.transpose() if flipped else array
 
 
@@ -49,7 +49,7 @@ class LaneArray:
         shape = (places, groups) if self._link_major else (groups, places)
         self._memory = wp.zeros((*shape, self.components, width), dtype=scalar, device=self.device)
         struct = getattr(layout_of(width, precision), kind)
-        view = wp.array(ptr=self._memory.ptr, shape=shape, dtype=struct, device=self.device)
+        view: wp.array = wp.array(ptr=self._memory.ptr, shape=shape, dtype=struct, device=self.device)
         self.kernel = view.transpose() if self._link_major else view
         seen = wp.to_torch(self._memory)
         self.torch: torch.Tensor = seen.permute(1, 3, 0, 2) if self._link_major else seen.permute(0, 3, 1, 2)

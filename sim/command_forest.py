@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Collection
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -56,14 +56,18 @@ class Forest:
     def run(self) -> int:
         """Write the forest and say so; return 0."""
         trees = write_forest(self)
-        height = sorted(tree_height(t) for t in trees)
-        picture = " and forest.png" if self.picture_width else ""
-        print(
-            f"{self.count} trees of {trees[0].num_links} to {max(t.num_links for t in trees)} links, "
-            f"{height[0]:.2f} to {height[-1]:.2f} m tall: {shown(self.out)}/tree_*{_SUFFIX[self.format[0]]}, "
-            f"forest.json{picture}"
+        links = _range({t.num_links for t in trees}, "{:d}")
+        height = _range({tree_height(t) for t in trees}, "{:.2f}")
+        files = (
+            [f"tree_*{_SUFFIX[f]}" for f in self.format] + ["forest.json"] + ["forest.png"] * bool(self.picture_width)
         )
+        print(f"{len(trees)} trees of {links} links, {height} m tall: {shown(self.out)}/{', '.join(files)}")
         return 0
+
+
+def _range(values: Collection[float], form: str) -> str:
+    low, high = form.format(min(values)), form.format(max(values))
+    return low if low == high else f"{low} to {high}"
 
 
 def write_forest(options: Forest) -> list[Tree]:
@@ -74,6 +78,7 @@ def write_forest(options: Forest) -> list[Tree]:
             package is missing.
     """
     _check(options)
+    options = _settled(options)
     with output_folder(options.out) as folder:
         grow_one = _grower(options)
         trees = []
@@ -113,15 +118,15 @@ def _grower(options: Forest) -> Callable[[int], Tree]:
     from .species import grow_system, species_system
 
     if options.lsystem is not None:
-        system, label, order = LSystem.from_file(options.lsystem), options.lsystem.stem, options.order
+        system, label = LSystem.from_file(options.lsystem), options.lsystem.stem
     else:
-        system = species_system(options.species or "Ta")
-        label, order = system.source, 2 if options.order is None else options.order
+        system = species_system(options.species or "")
+        label = system.source
 
     def grow_one(i: int) -> Tree:
         seed = np.random.SeedSequence(options.seed, spawn_key=(i,))
         return grow_system(
-            system, name=f"{label}_{i:04d}", iterations=order, noise=options.noise, seed=seed,
+            system, name=f"{label}_{i:04d}", iterations=options.order, noise=options.noise, seed=seed,
             stiffness=options.stiffness,
         )  # fmt: skip
 
@@ -177,3 +182,10 @@ def _plain(options: Forest) -> dict[str, Any]:
     """Return the options that decide what the trees are, as JSON can hold them."""
     kept = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
     return {k: v for k, v in kept.items() if k not in ("out", "picture_width")}
+
+
+def _settled(options: Forest) -> Forest:
+    """Return the options with the defaults that depend on others: Ta of order 2 where there is no L-system file."""
+    if options.lsystem is not None:
+        return options
+    return replace(options, species=options.species or "Ta", order=2 if options.order is None else options.order)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 ALL_FROZEN = 3
 """Exit code when no world reached the end."""
 
+_WORLD_BYTES = 4096  # of host memory that a link takes while a model is built, measured
 _ALLOWED = "an MJCF file (.xml, .mjcf), a URDF file (.urdf) or a case folder"
 
 
@@ -94,8 +96,9 @@ def simulate_file(options: Simulate) -> Trajectory:
         mechanism = load_mechanism(options.source)
         for line in mechanism.ignored:
             warn(f"{options.source}: left out: {line}")
-        rows = start_rows(options, mechanism)
         steps = steps_of(options, 2.0 if options.seconds is None else options.seconds)
+        check_memory(options, steps, options.worlds or 1, mechanism.tree.num_links)
+        rows = start_rows(options, mechanism)
         simulator = make_simulator(options, mechanism.tree, mechanism.gravity, len(rows))
         _set_start(options, simulator, rows)
         from .figures import trajectory_figure
@@ -156,6 +159,15 @@ def steps_of(options: Simulate, seconds: float) -> int:
     if steps < 1:
         raise InputError("--dt", "", f"{options.dt:g} s", f"a step no longer than the {seconds:g} s to be simulated")
     return steps
+
+
+def check_memory(options: Simulate, steps: int, worlds: int, links: int) -> None:
+    """Raise `InputError` if the worlds and their trajectory cannot fit into the machine's memory."""
+    trajectory = 7 * (options.precision // 8) * (steps + 1) * worlds * links
+    needed, there = trajectory + _WORLD_BYTES * worlds * links, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if needed > there:
+        found = f"{worlds} worlds of {links} links at {steps + 1} times, about {needed / 2**30:.1f} GiB"
+        raise InputError("--worlds, --seconds, --dt", "", found, f"what fits into {there / 2**30:.1f} GiB")
 
 
 def make_simulator(options: Simulate, tree: Tree, gravity: Array, worlds: int) -> Simulator:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,15 +17,41 @@ def bar(text: str, total: int | None) -> Iterator[Callable[[int], None]]:
     Without a ``total`` the bar only shows that something happens, and for how long. It vanishes at the end, and where
     stderr is no terminal nothing is shown.
     """
+    with bars({text: total}) as advance:
+        advance(text, 0)
+        yield lambda count: advance(text, count)
+
+
+@contextmanager
+def bars(totals: Mapping[str, int | None]) -> Iterator[Callable[[str, int], None]]:
+    """Show progress through stages, a bar each from when it is first reported on; otherwise as `bar`.
+
+    Args:
+        totals: Steps of every stage by what its bar says; None where the number is not known.
+    """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeElapsedColumn
+    from rich.text import Text
+
+    class Count(MofNCompleteColumn):
+        def render(self, task: Task) -> Text:
+            return Text() if task.total is None else super().render(task)
 
     console = Console(stderr=True)
-    counter = [] if total is None else [MofNCompleteColumn()]
-    columns = [TextColumn("{task.description}"), BarColumn(), *counter, TimeElapsedColumn()]
+    columns = [TextColumn("{task.description}"), BarColumn(), Count(), TimeElapsedColumn()]
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(text, total=total)
-        yield lambda count: progress.update(task, advance=count)
+        tasks = {name: progress.add_task(name, total=n, visible=False, start=False) for name, n in totals.items()}
+        current: list[str] = []
+
+        def advance(stage: str, count: int) -> None:
+            if current != [stage]:
+                for name in current:
+                    progress.stop_task(tasks[name])
+                current[:] = [stage]
+                progress.start_task(tasks[stage])
+            progress.update(tasks[stage], advance=count, visible=True)
+
+        yield advance
 
 
 def warn(text: str) -> None:

@@ -32,7 +32,7 @@ def foliage(
     start, end = shape_ends(tree, poses)
     chosen = leafy(tree)[tree.shape_link] & (np.linalg.norm(end - start, axis=1) > 0)
     height = float(max(start[:, 2].max(), end[:, 2].max()) - min(start[:, 2].min(), end[:, 2].min()))
-    least = 0.35 * height / float(max(np.count_nonzero(chosen), 4)) ** (1 / 3)
+    least = 0.35 * height / max(int(np.count_nonzero(chosen)), 4) ** (1 / 3)
     base, tip = _twigs(start[chosen], end[chosen], twigs, least, rng)
     radius = np.linalg.norm(tip - base, axis=1)[:, None] * [0.012, 0.005]
     wood, wood_faces = capsules_mesh(base, tip, radius, sides=4, cap_rings=1)

@@ -20,6 +20,9 @@ _SCRATCH = {
     "B": "Mat", "M": "Sym", "n": "Vec", "f": "Vec", "D": "Sym", "U": "Mat", "u": "Vec", "alpha": "Vec", "accel": "Vec",
 }  # fmt: skip
 
+#: Threads of a block on a GPU: one warp, so that a thousand worlds occupy 32 multiprocessors instead of four.
+BLOCK = 32
+
 
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
@@ -58,13 +61,16 @@ class Launcher:
         """Bytes of the scratch memory."""
         return sum(f.nbytes for f in self._fields.values())
 
-    def prepare(self, kernel: Any, before: Sequence[Any], after: Sequence[Any], *, split: bool = True) -> Callable[[], None]:
+    def prepare(
+        self, kernel: Any, before: Sequence[Any], after: Sequence[Any], *, split: bool = True
+    ) -> Callable[[], None]:
         """Return a function that launches ``kernel(*before, scratch, first, row, *after)`` over all groups.
 
         Launches are recorded once, so that a call costs microseconds and allocates nothing. With ``split`` false all
         groups run on the calling thread, as a graph capture needs.
         """
-        kernel.module.load(self.device, block_dim=None if self.device.is_cuda else 1)  # as launches do: compile once
+        block = BLOCK if self.device.is_cuda else 1
+        kernel.module.load(self.device, block_dim=block)  # as launches do: compile once
         threads = self.threads if split else 1
         ranges = self._ranges if split else [(0, self.model.groups)]
         commands = [
@@ -73,6 +79,7 @@ class Launcher:
                 dim=b - a,
                 inputs=[*before, self.scratch, a, -1 if self.device.is_cuda else row, *after],
                 device=self.device,
+                block_dim=block,
                 record_cmd=True,
             )
             for row, (a, b) in enumerate(ranges)

@@ -80,11 +80,8 @@ class LSystemFile(BaseModel):
 class LSystem:
     """A checked L-system.
 
-    Args:
-        axiom, productions, constants, symbols: As in `LSystemFile`.
-        iterations, tropism, bending, angle_deg: As in `LSystemFile`.
-        scale_m_per_unit, width_m_per_unit: As in `LSystemFile`.
-        source: What errors name as the place of the fault, usually the file.
+    Its arguments are the fields of `LSystemFile`, and ``source``: what errors name as the place of the fault, usually
+    the file.
 
     Raises:
         InputError: Names the text and the column: unbalanced brackets, a symbol that is no turtle command, has no

@@ -41,7 +41,7 @@ class Model:
         self,
         trees: Tree | Sequence[Tree],
         *,
-        gravity: Sequence[float] = (0.0, 0.0, -9.81),
+        gravity: Sequence[float] | Array = (0.0, 0.0, -9.81),
         device: Any = None,
         precision: int = 32,
         width: int | None = None,
@@ -61,7 +61,7 @@ class Model:
         self.trees = [trees] if isinstance(trees, Tree) else list(trees)
         if not self.trees:
             raise InputError("model", "trees", "none", "at least one tree")
-        for tree in self.trees:
+        for tree in {id(t): t for t in self.trees}.values():
             tree.validate()
             check_movable(tree)
         self.device = wp.get_device(device)
@@ -161,7 +161,8 @@ class Model:
         inverse = rotation.conjugate(links.frame)
         turned = rotation.multiply(rotation.multiply(inverse, turned), links.frame)
         scalar = np.zeros_like(flat)
-        scalar[:, 0], scalar[:, 1] = 1.0, flat[:, 0] - links.rest[:, 0]
+        scalar[:, 0] = 1.0
+        scalar[:, 1] = np.where(links.kind == Joint.FIXED, 0.0, flat[:, 0] - links.rest[:, 0])
         return np.where(spherical, turned, scalar)
 
     def _coordinates(self, world: int, qpos: Array) -> Array:

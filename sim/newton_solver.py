@@ -79,15 +79,17 @@ class BoughSolver(newton.solvers.SolverBase):
         self._worlds = np.array([host(self.model, "body_world")[w.body[0]] for w in layout])
         bough = Model(from_newton(self.model), gravity=_gravity(self.model), device=self.model.device)
         self._slots = _slots(bough, layout)
-        self._first = wp.array(bough.first_link.astype(np.int32), dtype=int, device=bough.device)
+        self._first: wp.array = wp.array(bough.first_link.astype(np.int32), dtype=int, device=bough.device)
         self._carried = wp.zeros(len(bough.link_slot), dtype=wp.vec3, device=bough.device)
         self._prepare(bough, dt)
 
     def _prepare(self, bough: Model, dt: float) -> None:
-        """Make ready for steps of one length: the implicit share of the springs depends on it."""
+        """Make ready for steps of one length: the springs' implicit share depends on it, and on the model's pose."""
         self.simulator = Simulator(bough, dt=dt, substeps=self._substeps, threads=self._threads)
         self.simulator.load.point.assign(bough.scatter(bough.links.com, [0.0, 0.0, 0.0]))
         self._rotation = wp.from_torch(self.simulator.rotation, dtype=wp.vec4)
+        self._read_state(self.model.joint_q, self.model.joint_qd)
+        self.simulator.refresh()
 
     def step(
         self,
@@ -112,17 +114,23 @@ class BoughSolver(newton.solvers.SolverBase):
         self.validate_observables(observables)
         if dt != self.simulator.dt:
             self._prepare(self.simulator.model, dt)
-        simulator, device = self.simulator, self.model.device
-        coordinate, velocity = simulator.state.coordinate.entries(), simulator.state.velocity.entries()
-        links = self._carried.size
-        wp.launch(
-            read_state, links, [self._slots, state_in.joint_q, state_in.joint_qd, coordinate, velocity], device=device
-        )
+        joint_q, joint_qd = state_out.joint_q, state_out.joint_qd
+        assert joint_q is not None and joint_qd is not None  # a model that bough takes has joints
+        self._read_state(state_in.joint_q, state_in.joint_qd)
         self._read_load(state_in, self._control if control is None else control)
-        simulator.step()
-        given = [self._slots, coordinate, velocity, state_out.joint_q, state_out.joint_qd]
-        wp.launch(write_state, links, given, device=device)
-        newton.eval_fk(self.model, state_out.joint_q, state_out.joint_qd, state_out)
+        self.simulator.step()
+        given = [self._slots, *self._moving(), joint_q, joint_qd]
+        wp.launch(write_state, self._carried.size, given, device=self.model.device)
+        newton.eval_fk(self.model, joint_q, joint_qd, state_out)
+
+    def _moving(self) -> tuple[wp.array, wp.array]:
+        """Return coordinates and velocities, number by number."""
+        state = self.simulator.state
+        return state.coordinate.entries(), state.velocity.entries()
+
+    def _read_state(self, joint_q: wp.array | None, joint_qd: wp.array | None) -> None:
+        given = [self._slots, joint_q, joint_qd, *self._moving()]
+        wp.launch(read_state, self._carried.size, given, device=self.model.device)
 
     def _read_load(self, state: newton.State, control: newton.Control) -> None:
         self.simulator.observe()

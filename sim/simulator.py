@@ -21,7 +21,7 @@ from .launcher import Launcher
 from .load import Load
 from .model import Model
 from .state import State
-from .tree import Array
+from .tree import Array, IntArray
 
 
 class Simulator:
@@ -78,6 +78,7 @@ class Simulator:
         self._start = {name: model.field(kind) for name, kind in (("coordinate", "Quat"), ("velocity", "Vec"))}
         self._everyone = torch.ones(model.num_worlds, dtype=torch.bool, device=self.state.fault_link.device)
         self._dynamics = self._dynamic_model()
+        self._judges = self._prepare_judges()
         self.refresh()
         self.mark_start()
 
@@ -89,7 +90,7 @@ class Simulator:
         world[m.world_slot] = np.arange(m.num_worlds)
         link = np.full((len(world), m.places + 1), -1, np.int32)
         link[m.link_slot, m.link_place] = np.arange(len(m.link_slot)) - m.first_link[m.links.world]
-        self._slot_world = wp.array(world, dtype=int, device=m.device)
+        self._slot_world: wp.array = wp.array(world, dtype=int, device=m.device)
         self._slot_link = integer_array(link, m.device)
 
     def _allocate_outputs(self) -> None:
@@ -131,11 +132,25 @@ class Simulator:
         """
         self._damping.torch.copy_(self.model.arrays["damping"].torch)
         self._limit.torch.fill_(self.max_speed)
-        rest = State(self.model)
+        for judge in self._judges:
+            judge()
+
+    def _prepare_judges(self) -> list[Callable[[], None]]:
+        """Return launches that judge stability at the springs' rest and at the present pose."""
         kernel = damping_kernel(self.model.width, self.model.precision)
-        for state in (rest, self.state):
-            after = [self.dt / self.substeps, self.MARGIN, self._damping.kernel, self._limit.kernel]
-            self._launcher.prepare(kernel, [self.model.kernel, state.kernel], after)()
+        after = [self.dt / self.substeps, self.MARGIN, self._damping.kernel, self._limit.kernel]
+        self._rest = State(self.model)
+        return [
+            self._launcher.prepare(kernel, [self.model.kernel, state.kernel], after) for state in (self._rest, self.state)
+        ]
+
+    def implicit_worlds(self) -> int:
+        """Return in how many worlds springs are too stiff for the step to be explicit (see `kernels.stability`).
+
+        Their fast motion is damped and slowed to what the step resolves; more substeps resolve more of it.
+        """
+        held = (self._limit.torch[..., 0] < self.max_speed).any(-1).reshape(-1)
+        return int(held[torch.as_tensor(self.model.world_slot, device=held.device)].sum())
 
     def step(self, count: int = 1) -> None:
         """Advance all worlds by ``count`` steps of ``dt``; inside a graph capture, in one launch that it records."""
@@ -229,7 +244,7 @@ class Probes:
     def __init__(self, simulator: Simulator, points: Sequence[Sequence[tuple[int, Array]]]) -> None:
         m = simulator.model
         count = len(points[0])
-        place = np.zeros((m.groups * m.width, count), np.int32)
+        place = np.zeros((m.groups * m.width, count), np.int64)
         local = np.zeros((m.groups * m.width, count, 3))
         for world, chosen in enumerate(points):
             for j, (link, point) in enumerate(chosen):
@@ -253,7 +268,7 @@ class Probes:
         return self.position, self.velocity
 
 
-def _per_group(place: Array, width: int) -> Array:
+def _per_group(place: IntArray, width: int) -> IntArray:
     """Return the places of each group's probes; the worlds of a group share them.
 
     Raises:

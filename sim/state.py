@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -62,10 +63,7 @@ class State:
         Raises:
             InputError: A ``qpos`` does not fit its tree.
         """
-        rows = [qpos] * self.model.num_worlds if np.ndim(qpos[0]) == 0 else list(qpos)
-        if len(rows) != self.model.num_worlds:
-            raise InputError("state", "qpos", f"{len(rows)} rows", f"{self.model.num_worlds}, one a world")
-        values = self.model.coordinates_from_qpos(rows)
+        values = self.model.coordinates_from_qpos(_rows("qpos", qpos, self.model.num_worlds))
         self.coordinate.assign(self.model.scatter(values, [1.0, 0.0, 0.0, 0.0]))
 
     def qpos(self) -> list[Array]:
@@ -78,8 +76,8 @@ class State:
         Raises:
             InputError: A ``qvel`` has the wrong length.
         """
-        rows = [qvel] * self.model.num_worlds if np.ndim(qvel[0]) == 0 else list(qvel)
-        values = np.concatenate([_by_link(t.joint, np.asarray(v), t.name) for t, v in zip(self.model.trees, rows, strict=True)])
+        rows = _rows("qvel", qvel, self.model.num_worlds)
+        values = np.concatenate([_by_link(t.joint, v, t.name) for t, v in zip(self.model.trees, rows, strict=True)])
         self.velocity.assign(self.model.scatter(self._turned(values, inverse=True), [0.0, 0.0, 0.0]))
 
     def qvel(self) -> list[Array]:
@@ -104,6 +102,15 @@ class State:
             slot = self.model.world_slot[world]
             out.append((int(world), self.model.link_name(int(world), int(link[slot])), int(tick[slot])))
         return out
+
+
+def _rows(name: str, values: Any, worlds: int) -> list[Array]:
+    """Return one row a world: ``values`` row by row, or the same for all where it is a single row."""
+    single = len(values) == 0 or np.ndim(values[0]) == 0
+    rows = [values] * worlds if single else list(values)
+    if len(rows) != worlds:
+        raise InputError("state", name, f"{len(rows)} rows", f"{worlds}, one a world")
+    return [np.asarray(row, np.float64) for row in rows]
 
 
 def _dofs(joint: IntArray) -> IntArray:

@@ -7,6 +7,7 @@ Since siblings keep their order, every sum over children is made in the same ord
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -57,43 +58,47 @@ def ordered(tree: Tree) -> Node:
     return root
 
 
+def _pairs(target: Node, source: Node) -> list[tuple[Node, Node]]:
+    """Pair the children of two nodes in order within each kind of joint; ``target`` may have more than ``source``."""
+    out: list[tuple[Node, Node]] = []
+    for kind in sorted({c.kind for c in source.children}):
+        ours, theirs = ([c for c in node.children if c.kind == kind] for node in (target, source))
+        out += zip(ours, theirs, strict=False)
+    return out
+
+
 def overlay(target: Node, source: Node) -> None:
     """Extend ``target`` in place so that it holds ``source``: children pair up in order within each kind of joint."""
-    merged: list[Node] = []
-    for kind in sorted({c.kind for c in target.children} | {c.kind for c in source.children}):
-        ours = [c for c in target.children if c.kind == kind]
-        theirs = [c for c in source.children if c.kind == kind]
-        ours += [Node(kind) for _ in range(len(theirs) - len(ours))]
-        for a, b in zip(ours, theirs, strict=False):
-            overlay(a, b)
-        merged += ours
-    target.children = merged
+    todo = [(target, source)]  # no recursion here and below: a chain may be thousands of links long
+    while todo:
+        ours, theirs = todo.pop()
+        have, need = (Counter(c.kind for c in node.children) for node in (ours, theirs))
+        ours.children += [Node(kind) for kind, count in need.items() for _ in range(count - have[kind])]
+        ours.children.sort(key=lambda n: n.kind)
+        todo += _pairs(ours, theirs)
 
 
 def numbered(root: Node) -> tuple[list[int], list[int]]:
-    """Number an overlay's nodes in ``link``, depth first from 1; return parents and kinds with the world at 0."""
+    """Assign each node its number in ``link``, depth first from 1; return parents and kinds with the world at 0."""
     parent, kind = [0], [0]
     root.link = 0
-
-    def visit(node: Node) -> None:
-        for child in node.children:
-            child.link = len(parent)
-            parent.append(node.link)
-            kind.append(child.kind)
-            visit(child)
-
-    visit(root)
+    todo = [(child, root) for child in reversed(root.children)]
+    while todo:
+        node, above = todo.pop()
+        node.link = len(parent)
+        parent.append(above.link)
+        kind.append(node.kind)
+        todo += [(child, node) for child in reversed(node.children)]
     return parent, kind
 
 
 def places(target: Node, source: Node, out: IntArray) -> None:
     """Write the place in ``target`` (numbered) of every link of ``source`` into ``out``."""
-    for kind in {c.kind for c in source.children}:
-        ours = [c for c in target.children if c.kind == kind]
-        theirs = [c for c in source.children if c.kind == kind]
-        for a, b in zip(ours, theirs, strict=False):
-            out[b.link] = a.link
-            places(a, b, out)
+    todo = _pairs(target, source)
+    while todo:
+        ours, theirs = todo.pop()
+        out[theirs.link] = ours.link
+        todo += _pairs(ours, theirs)
 
 
 def _signature(tree: Tree) -> bytes:

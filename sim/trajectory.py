@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .console import bar, warn
-from .errors import InputError
 from .simulator import Simulator
 from .tree import Array, IntArray, Tree
-
-_SHARE_OF_MEMORY = 0.5
 
 
 @dataclass(frozen=True)
@@ -69,15 +65,11 @@ def record(
         steps: Number of steps of ``simulator.dt``.
         drive: Called before every step with the time at its middle [s], to write the load of that step.
         text: What the progress bar says.
-
-    Raises:
-        InputError: The trajectory would not fit into memory.
     """
     model, tree = simulator.model, simulator.model.trees[0]
     bodies = own_bodies(tree)
     shape = (steps + 1, model.num_worlds, len(bodies))
     kind = np.dtype(np.float64 if model.precision == 64 else np.float32)
-    _check_memory(7 * kind.itemsize * int(np.prod(shape, dtype=np.int64)), shape)
     pos, quat = np.empty((*shape, 3), kind), np.empty((*shape, 4), kind)
 
     def look(k: int) -> None:
@@ -107,11 +99,3 @@ def _frozen(simulator: Simulator) -> Array:
     if len(faults) > 5:
         warn(f"{len(faults) - 5} more worlds were frozen; frozen_time in trajectory.npz says when")
     return out
-
-
-def _check_memory(needed: int, shape: tuple[int, ...]) -> None:
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if needed > _SHARE_OF_MEMORY * total:
-        found = f"{shape[0]} times of {shape[1]} worlds of {shape[2]} bodies, {needed / 2**30:.0f} GiB"
-        allowed = f"at most {_SHARE_OF_MEMORY * total / 2**30:.0f} GiB (fewer --worlds, fewer --seconds, a longer --dt)"
-        raise InputError("trajectory", "", found, allowed)

@@ -146,23 +146,23 @@ class Tree:
         return self
 
     def _validate_link(self, src: str, i: int, place: str) -> None:
-        def need(ok: bool | np.bool_, found: object, allowed: str) -> None:
-            if not ok:
-                raise InputError(src, place, str(found), allowed)
+        def need(ok: bool | np.bool_, found: str, allowed: str, value: object = "") -> None:
+            if not ok:  # arrays are put into words only here: that takes longer than all checks
+                raise InputError(src, place, f"{found} {value}", allowed)
 
         need(-1 <= self.parent[i] < i, f"parent index {self.parent[i]}", f"-1 (world) to {i - 1}")
         for item in fields(self):
             value = getattr(self, item.name)
             if isinstance(value, np.ndarray) and value.dtype == np.float64 and not item.name.startswith("shape_"):
-                need(bool(np.isfinite(value[i]).all()), f"{item.name} {value[i]}", "finite numbers")
+                need(bool(np.isfinite(value[i]).all()), item.name, "finite numbers", value[i])
         need(self.mass[i] >= 0, f"mass {self.mass[i]:g} kg", "zero or more")
         for name in ("stiffness", "damping", "armature"):
             need(getattr(self, name)[i] >= 0, f"{name} {getattr(self, name)[i]:g}", "zero or more")
         eig = np.linalg.eigvalsh(self.inertia[i])
-        need(eig[0] >= -1e-9 * max(eig[2], 1e-12), f"principal inertias {eig} kg m^2", "zero or more")
+        need(eig[0] >= -1e-9 * max(eig[2], 1e-12), "principal inertias [kg m^2]", "zero or more", eig)
         need(abs(np.linalg.norm(self.rotation[i]) - 1) < 1e-6, "a quaternion of length other than one", "unit length")
         scalar = self.joint[i] in (Joint.REVOLUTE, Joint.PRISMATIC)
-        need(not scalar or abs(np.linalg.norm(self.axis[i]) - 1) < 1e-6, f"axis {self.axis[i]}", "a unit vector")
+        need(not scalar or abs(np.linalg.norm(self.axis[i]) - 1) < 1e-6, "axis", "a unit vector", self.axis[i])
 
     def with_(self, **changes: Any) -> Tree:
         """Return a copy with some fields exchanged."""

@@ -67,6 +67,8 @@ def test_steps_are_the_simulators(count):
     simulator = Simulator(Model(trees, device="cpu"), dt=DT)
     simulator.state.set_qpos(qpos)
     simulator.state.set_qvel(qvel)
+    simulator.refresh()
+    model.joint_q.assign(joint_q.astype(np.float32))
     solver = BoughSolver(model, dt=DT)
     assert solver.simulator.model.width == (1 if count < 4 else 8)
     state = _steps(solver, _start(model, joint_q, joint_qd), 60)

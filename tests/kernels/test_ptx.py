@@ -1,0 +1,48 @@
+"""The same kernels compile for a GPU (sm_90) on a machine that has none: NVRTC comes with Warp."""
+
+import re
+
+import pytest
+import warp as wp
+from bough.kernels.observe import observe_kernels
+from bough.kernels.reset import reset_kernels
+from bough.kernels.stability import damping_kernel
+from bough.kernels.step import step_kernels
+
+KERNELS = {
+    "step": lambda precision: step_kernels(1, precision).step,
+    "step_loaded": lambda precision: step_kernels(1, precision).step_loaded,
+    "damping": lambda precision: damping_kernel(1, precision),
+    "poses": lambda precision: observe_kernels(1, precision).poses,
+    "probes": lambda precision: observe_kernels(1, precision).probes,
+    "energy": lambda precision: observe_kernels(1, precision).energy,
+    "restore": lambda precision: reset_kernels(precision).restore,
+    "revive": lambda precision: reset_kernels(precision).revive,
+}
+ARITHMETIC = {32: r"(?:add|mul|fma|div|sqrt)\S*\.f32", 64: r"(?:add|mul|fma|div|sqrt)\S*\.f64"}
+
+
+def ptx(name: str, precision: int, folder) -> str:
+    """Compile one kernel to PTX for sm_90 and return the text."""
+    paths = wp.compile_aot_module(KERNELS[name](precision).module, arch=90, module_dir=folder, use_ptx=True)
+    return next(p for p in paths if p.suffix == ".ptx").read_text()
+
+
+#: What runs every step.
+HOT = ("step", "step_loaded", "poses", "probes", "energy")
+
+
+@pytest.mark.parametrize("precision", [32, 64])
+@pytest.mark.parametrize("name", KERNELS)
+def test_compiles_for_a_gpu(name, precision, tmp_path):
+    """Compile for sm_90; a step computes in its own precision only, and in float32 it needs no stack frame.
+
+    A GPU has little float64 arithmetic, and local memory is its main memory.
+    """
+    text = ptx(name, precision, tmp_path)
+    assert re.search(r"\.target sm_90\b", text)
+    assert text.count("_cuda_kernel_forward(") == 1
+    if name in HOT:
+        assert re.search(ARITHMETIC[precision], text)
+        assert not re.search(ARITHMETIC[96 - precision], text)
+        assert precision == 64 or ".local" not in text

@@ -1,0 +1,169 @@
+"""Bad input from the outside: one line with file and place, exit code 2, nothing written."""
+
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+TREE = '<body name="a"><joint {joint}/><geom type="capsule" fromto="0 0 0 0 0 1" size=".02" {geom}/>{more}</body>'
+CLOSED = '<equality><connect body1="a" body2="b" anchor="0 0 1"/></equality>'
+
+
+def mjcf(joint="", geom="", more="", after=""):
+    """MJCF text with one body and what spoils it."""
+    return f"<mujoco><worldbody>{TREE.format(joint=joint, geom=geom, more=more)}</worldbody>{after}</mujoco>"
+
+
+@pytest.fixture(autouse=True)
+def nothing_written(tmp_path):
+    """Assert that no output and no temporary folder is left."""
+    yield
+    assert not (tmp_path / "out").exists()
+    assert not list(tmp_path.glob("**/.bough-*"))
+
+
+def rewrite(path, change):
+    """Change a table of comma-separated text: its rows, split, the header first."""
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    path.write_text("".join(",".join(row) + "\n" for row in change(rows)))
+
+
+def without_column(rows):
+    return [row[:4] + row[5:] for row in rows]
+
+
+def with_nan(rows):
+    rows[7][5] = "nan"
+    return rows
+
+
+def with_gap(rows):
+    return rows[:20] + rows[21:] + [["9.5", *rows[-1][1:]]]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [(without_column, ("x_m",)), (with_nan, ("row 8", "y_m", "nan")), (with_gap, ("row 21", "t_s"))],
+)
+def test_spoilt_tables(bough, case, change, words):
+    """Refuse a missing column, a NaN in a row and a clock with a gap; name the file and where in it."""
+    rewrite(case / "traj_02.csv", change)
+    bough("simulate", case, "--out", "out").refused("traj_02.csv", *words)
+
+
+@pytest.mark.parametrize(
+    ("command", "key", "value"),
+    [("identify", "length_m", "520"), ("simulate", "length_m", "0"), ("simulate", "sample_rate_hz", "-25")],
+)
+def test_impossible_quantities(bough, case, command, key, value):
+    """Refuse a length that must be in millimetres, a segment without length and a negative rate; name the key."""
+    meta = case / "meta.yaml"
+    lines = meta.read_text().splitlines()
+    i = next(i for i, line in enumerate(lines) if f"{key}:" in line)
+    lines[i] = lines[i].split(f"{key}:")[0] + f"{key}: {value}"
+    meta.write_text("\n".join(lines))
+    bough(command, case, "--out", "out").refused("meta.yaml", f"line {i + 1}", key, value)
+
+
+@pytest.mark.parametrize("command", ["simulate", "identify"])
+def test_folders_that_are_no_case(bough, tmp_path, command):
+    """Refuse an empty folder and one that does not exist."""
+    (tmp_path / "nothing").mkdir()
+    bough(command, "nothing", "--out", "out").refused("nothing", "empty folder")
+    bough(command, "nowhere", "--out", "out").refused("nowhere", "no such f")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (mjcf('type="free"'), ("line 1", "free joint")),
+        (mjcf(more='<body name="b"/>', after=CLOSED), ("closed loop",)),
+        (mjcf(geom='mass="-1"'), ("mass", "-1")),
+        (mjcf('type="screw"'), ("screw",)),
+        ("<mujoco><worldbody>", ("line 1",)),
+        ("<mujoco/>", ("no bodies",)),
+    ],
+)
+def test_mechanisms_that_cannot_be(bough, tmp_path, text, words):
+    """Refuse unsupported joints, closed loops, negative masses and broken XML; name the file and where in it."""
+    (tmp_path / "tree.xml").write_text(text)
+    bough("simulate", "tree.xml", "--out", "out").refused("tree.xml", *words)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("axiom: F(1)A\nproductions: ['A -> F(1)B']\n", ("column 10", "symbol B")),
+        ("axiom: F(a)\nconstants: {a: b + 1, b: a}\n", ("circle",)),
+        ("axiom: F(1)\nproductions: ['F(l) > F(l)']\n", ("F(l) > F(l)",)),
+        ("axiom: F(1)\nangel_deg: 3\n", ("angel_deg",)),
+    ],
+)
+def test_faulty_lsystems(bough, tmp_path, text, words):
+    """Refuse unknown symbols, constants that define each other and what is no production; name the file."""
+    (tmp_path / "bush.yaml").write_text(text)
+    done = bough("forest", "--lsystem", "bush.yaml", "--count", 1, "--out", "out")
+    done.refused("bush.yaml", *words)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--qpos", "short.txt"), ("short.txt", "line 2", "1 numbers")),
+        (("--qpos", "word.txt"), ("word.txt", "line 1", "ten")),
+        (("--qpos", "nan.npy"), ("nan.npy", "row 0", "nan")),
+        (("--qpos", "zero.txt"), ("zero.txt", "[0. 0. 0. 0.]")),
+        (("--qpos", "rows.txt", "--worlds", "3"), ("rows.txt", "2 rows")),
+        (("--dt", "0"), ("--dt",)),
+        (("--seconds", "nan"), ("--seconds",)),
+        (("--device", "tpu"), ("--device", "tpu", "cpu")),
+        (("--worlds", "100000000"), ("100000000 worlds", "GiB")),
+    ],
+)
+def test_starts_and_options_that_do_not_fit(bough, tmp_path, options, words):
+    """Refuse starts of the wrong shape and options out of range; name the file and row, or the option."""
+    (tmp_path / "ball.xml").write_text(mjcf('type="ball"'))
+    (tmp_path / "short.txt").write_text("1 0 0 0\n1\n")
+    (tmp_path / "word.txt").write_text("1 0 0 ten")
+    (tmp_path / "zero.txt").write_text("0 0 0 0")
+    (tmp_path / "rows.txt").write_text("1 0 0 0\n1 0 0 0\n")
+    np.save(tmp_path / "nan.npy", [1.0, 0.0, 0.0, np.nan])
+    done = bough("simulate", "ball.xml", *options, "--out", "out")
+    # the geom's contacts are left out with a warning before a start is looked at
+    kept = "".join(line + "\n" for line in done.err.splitlines() if "warning" not in line)
+    type(done)(done.code, done.out, kept).refused(*words)
+
+
+def as_nobody_special():
+    """Return what to put before a command so that file permissions hold for it too: root bypasses them."""
+    if os.geteuid() != 0:
+        return ()
+    if shutil.which("setpriv") is None:
+        pytest.skip("root without setpriv: permissions cannot be made to hold")
+    return ("setpriv", "--bounding-set=-dac_override,-dac_read_search")
+
+
+def test_folders_without_permission(bough, case, tmp_path):
+    """Refuse to write where that is not allowed and to read what is closed."""
+    before = as_nobody_special()
+    locked, closed = tmp_path / "locked", tmp_path / "closed"
+    locked.mkdir()
+    locked.chmod(0o555)
+    case.rename(closed)
+    closed.chmod(0o000)
+    try:
+        done = bough("forest", "--count", 1, "--picture-width", 0, "--out", "locked/out", before=before)
+        done.refused("locked/out", "permission")
+        done = bough("identify", "closed", "--out", "out", before=before)
+        done.refused("closed", "permission")
+        assert list(locked.iterdir()) == []
+    finally:
+        closed.chmod(0o755)
+
+
+def test_an_output_that_is_a_file(bough, tmp_path):
+    """Refuse to make a folder where a file is."""
+    (tmp_path / "taken").write_text("mine")
+    bough("forest", "--count", 1, "--out", "taken").refused("taken", "a file")
+    assert (tmp_path / "taken").read_text() == "mine"

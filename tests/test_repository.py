@@ -1,0 +1,216 @@
+"""The repository itself: what is installed, what the pages promise, and the lines the house keeps."""
+
+import ast
+import re
+import subprocess
+import sys
+import zipfile
+from email.parser import Parser
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
+
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10; pytest brings tomli there
+    import tomli as tomllib
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("kernels", "sim", "perception", "learn")
+HEAVY = {"torch", "newton", "mujoco", "numpy", "rsl_rl"}  # what device code must not know
+PACKAGE = sorted(p for room in ROOMS for p in (ROOT / room).rglob("*.py")) + sorted(ROOT.glob("*.py"))
+SOURCES = PACKAGE + sorted(p for room in ("tests", "benchmarks") for p in (ROOT / room).rglob("*.py"))
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+EXAMPLES = [
+    pytest.param(block, id=f"{page.name}-{i + 1}")
+    for page in PAGES
+    for i, block in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL))
+]
+
+
+def name_of(path: Path) -> str:
+    """Return a path as the repository's reader writes it."""
+    return str(path.relative_to(ROOT))
+
+
+# ---- what is installed -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> zipfile.ZipFile:
+    """Build the wheel from a copy of the sources, so that nothing is left in the repository."""
+    copy = tmp_path_factory.mktemp("copy")
+    for path in [*PACKAGE, *(ROOT / "learn" / "templates").iterdir()]:
+        (copy / path.relative_to(ROOT)).parent.mkdir(parents=True, exist_ok=True)
+        (copy / path.relative_to(ROOT)).write_bytes(path.read_bytes())
+    for name in ("pyproject.toml", "README.md", "LICENSE", "py.typed"):
+        (copy / name).write_bytes((ROOT / name).read_bytes())
+    (copy / "tests").mkdir()
+    (copy / "tests" / "test_nothing.py").write_text("")
+    out = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "--wheel-dir", str(out), str(copy)]
+    subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
+    return zipfile.ZipFile(next(out.glob("bough-*.whl")))
+
+
+def test_wheel_holds_the_package(wheel):
+    """Hold every module, the type marker and the templates under ``bough/``, and no test."""
+    names = {n for n in wheel.namelist() if ".dist-info/" not in n}
+    expected = {f"bough/{name_of(p)}" for p in PACKAGE}
+    expected |= {"bough/py.typed"} | {f"bough/learn/templates/{p.name}" for p in (ROOT / "learn/templates").iterdir()}
+    assert names == expected
+
+
+def test_wheel_installs_the_command_and_the_licence(wheel):
+    """Install ``bough`` as a command that calls `cli.main`, with the licence beside it."""
+    info = next(n for n in wheel.namelist() if n.endswith("entry_points.txt")).rsplit("/", 1)[0]
+    assert "bough = bough.cli:main" in wheel.read(f"{info}/entry_points.txt").decode()
+    assert b"Apache License" in wheel.read(f"{info}/licenses/LICENSE")
+    metadata = Parser().parsestr(wheel.read(f"{info}/METADATA").decode())
+    assert metadata["Requires-Python"] == ">=3.10"
+
+
+def test_wheel_imports_without_the_repository(wheel, tmp_path):
+    """Import every room from the wheel alone, by the package's name only."""
+    wheel.extractall(tmp_path)
+    code = (
+        "import sys\n"
+        "sys.meta_path[:] = [f for f in sys.meta_path if 'editable' not in getattr(f, '__module__', str(f))]\n"
+        f"sys.path.insert(0, {str(tmp_path)!r})\n"
+        "import bough, bough.cli, bough.sim.simulator, bough.learn.case, bough.perception\n"
+        f"assert bough.__file__.startswith({str(tmp_path)!r}), bough.__file__\n"
+        "assert 'sim' not in sys.modules and 'kernels' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, stdin=subprocess.DEVNULL)
+
+
+def test_constraints_pin_what_the_project_names():
+    """Pin each dependency to one version a Python, inside the bounds of ``pyproject.toml``."""
+    lines = [line.split("#")[0].strip() for line in (ROOT / "constraints.txt").read_text().splitlines()]
+    pins = [Requirement(line) for line in lines if line]
+    named = list(PROJECT["project"]["dependencies"])
+    for extra in PROJECT["project"]["optional-dependencies"].values():
+        named += extra
+    for python in ("3.10", "3.11", "3.13"):
+        chosen = [p for p in pins if p.marker is None or p.marker.evaluate({"python_version": python})]
+        versions = {canonicalize_name(p.name): re.fullmatch(r"==([^*,]+)", str(p.specifier))[1] for p in chosen}
+        assert len(versions) == len(chosen), f"a package pinned twice for Python {python}"
+        for requirement in map(Requirement, named):
+            version = versions.get(canonicalize_name(requirement.name))
+            assert version, f"{requirement.name} is not pinned for Python {python}"
+            assert Version(version) in requirement.specifier, f"{requirement} against {version}"
+
+
+# ---- what the pages promise --------------------------------------------------------------------------------------
+
+
+def test_commands_of_the_pages_exist_in_the_makefile():
+    """Find every ``make`` target that a page names in the Makefile."""
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    for page in [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / ".ci" / "run"]:
+        named = re.findall(r"(?:^|`|exec |[A-Z]=\S+ )make ([a-z]+)", page.read_text(), re.MULTILINE)
+        assert set(named) <= targets, name_of(page)
+    assert {"demo", "test"} <= targets
+
+
+def test_commands_of_the_pages_exist():
+    """Find every ``bough`` command and option that a page names in the command's help."""
+    helps: dict[str, str] = {}
+    for page in [*PAGES, ROOT / "Makefile"]:
+        for command, rest in re.findall(
+            r"bough (info|forest|simulate|identify)\b([^`\n]*(?:\n {4,}\S[^`\n]*)*)", page.read_text()
+        ):
+            if command not in helps:
+                run = [sys.executable, "-m", "bough", command, "--help"]
+                helps[command] = subprocess.run(run, check=True, capture_output=True, text=True).stdout
+            for option in re.findall(r"--[a-z-]+", rest):
+                assert option in helps[command], f"{name_of(page)}: bough {command} has no {option}"
+    assert set(helps) == {"info", "forest", "simulate", "identify"}
+
+
+@pytest.mark.parametrize("block", EXAMPLES)
+def test_examples_of_the_pages_run(block, tmp_path):
+    """Run each Python example of the README and the pages as a program of its own."""
+    path = tmp_path / "example.py"  # a file, so that a kernel it may define has source
+    path.write_text(block)
+    done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("page", [pytest.param(p, id=p.name) for p in PAGES])
+def test_links_of_the_pages_lead_somewhere(page):
+    """Find the file and the heading behind every link that stays in the repository."""
+    for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page.read_text()):
+        file, _, heading = target.partition("#")
+        path = (page.parent / file).resolve() if file else page
+        assert path.exists(), f"{name_of(page)}: {target}"
+        if heading:
+            titles = re.findall(r"^#+ (.+)$", path.read_text(), re.MULTILINE)
+            anchors = {re.sub(r"[^\w -]", "", t.lower()).strip().replace(" ", "-") for t in titles}
+            assert heading in anchors, f"{name_of(page)}: {target}"
+
+
+def test_site_lists_every_page():
+    """Name each page of ``docs`` in the site's navigation, and no other."""
+    listed = set(re.findall(r": (\w+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
+    assert listed == {p.name for p in (ROOT / "docs").glob("*.md")}
+
+
+# ---- the lines the house keeps -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", [pytest.param(p, id=name_of(p)) for p in SOURCES])
+def test_file_is_short(path):
+    """Keep files at 600 lines or fewer."""
+    assert len(path.read_text().splitlines()) <= 600
+
+
+@pytest.mark.parametrize("path", [pytest.param(p, id=name_of(p)) for p in PACKAGE if p.parent != ROOT])
+def test_imports_run_one_way(path):
+    """Import only from the same room or those before it, and in device code nothing but Warp."""
+    parts = path.relative_to(ROOT).parts
+    room = ROOMS.index(parts[0])
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level == len(parts):
+            names = [node.module] if node.module else [alias.name for alias in node.names]
+            for name in (n.split(".")[0] for n in names):
+                assert name not in ROOMS or ROOMS.index(name) <= room, f"line {node.lineno} imports {name}"
+                assert name != "cli", f"line {node.lineno} imports the command line"
+        elif isinstance(node, ast.Import | ast.ImportFrom) and not getattr(node, "level", 0):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+            heads = {n.split(".")[0] for n in names}
+            assert "bough" not in heads, f"line {node.lineno}: imports inside the package are relative"
+            assert room > 0 or not heads & HEAVY, f"line {node.lineno}: kernels import {heads}"
+            assert not any(n.startswith("newton._src") for n in names), f"line {node.lineno}: a private Newton name"
+
+
+def public_definitions(node: ast.AST, names: set[str] | None = None, prefix: str = ""):
+    """Yield (name, node) of the classes, functions and methods a user can reach; ``names`` is the module's __all__."""
+    for child in ast.iter_child_nodes(node):
+        if not isinstance(child, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        if child.name in names if names is not None else not child.name.startswith("_"):
+            yield f"{prefix}{child.name}", child
+            if isinstance(child, ast.ClassDef):
+                yield from public_definitions(child, prefix=f"{child.name}.")
+
+
+def listed_names(module: ast.Module) -> set[str] | None:
+    """Return what a module's ``__all__`` holds, None if it has none."""
+    for node in module.body:
+        if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
+            return set(ast.literal_eval(node.value))
+    return None
+
+
+@pytest.mark.parametrize("path", [pytest.param(p, id=name_of(p)) for p in PACKAGE])
+def test_public_names_have_docstrings(path):
+    """Document every module, and every public class, function and method in it."""
+    module = ast.parse(path.read_text())
+    assert ast.get_docstring(module), "the module"
+    silent = [name for name, node in public_definitions(module, listed_names(module)) if not ast.get_docstring(node)]
+    assert not silent
