@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     warnings.showwarning = _show_warning
     config = (tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone)
-    command: Command = tyro.cli(Command, args=given, prog="bough", description=_DESCRIPTION, config=config)  # type: ignore[arg-type]
+    command: Command = tyro.cli(Command, args=given, prog="bough", description=_DESCRIPTION, config=config)
     try:
         return _run(command)
     except InputError as error:

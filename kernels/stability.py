@@ -21,7 +21,7 @@ from .algebra import add, add_cross, add_dot, add_mul, add_scaled, cross, div, d
 from .algebra import sub_dot, sub_mul, sub_outer, sub_scaled, transposed_mul
 from .articulated import FIXED, REVOLUTE, SPHERICAL, hand_in, own_inertia, place_links, place_root, skew
 from .layout import layout_of
-from .real import SOURCE, any_neg, fma, fnma, real, where_neg
+from .real import SOURCE, any_neg, fma, fnma, real, sqrt_, where_neg
 
 __all__ = ["damping_kernel"]
 
@@ -32,15 +32,26 @@ LIMITED_TURN = wp.constant(wp.float64(0.25))
 
 @wp.func
 def least_eigenvalue(a: Any, k: Any):
-    """Lower bound 1 / tr((a + k)^-1) of the least eigenvalue of a positive matrix; 0 where a + k is not positive."""
+    """Lower bound of the least eigenvalue of a + k.
+
+    1 / tr((a + k)^-1) where the matrix is positive, else mean - sqrt(2/3) |deviator|: what links further out hand in
+    may be negative, since their springs have used up more than their own inertia.
+    """
     inverse = shifted_inverse(a, k)
     trace = inverse.xx + inverse.yy + inverse.zz
-    o = real(0.0, k)
     one = real(1.0, k)
     # positive definite: the inverse has a positive trace, diagonal and leading minor
     minor = fnma(a.xy, a.xy, (a.xx + k) * (a.yy + k))
     bad = where_neg(inverse.xx, real(-1.0, k), where_neg(inverse.yy, real(-1.0, k), minor))
-    return where_neg(where_neg(bad, bad, trace), o, one / trace)
+    third = real(1.0 / 3.0, k)
+    mean = (a.xx + a.yy + a.zz) * third
+    x = a.xx - mean
+    y = a.yy - mean
+    z = a.zz - mean
+    off = fma(a.yz, a.yz, fma(a.xz, a.xz, a.xy * a.xy))
+    deviator2 = fma(off, real(2.0, k), fma(z, z, fma(y, y, x * x)))
+    lower = mean + k - sqrt_(deviator2 * (third + third))
+    return where_neg(where_neg(bad, bad, trace), where_neg(lower, lower, real(0.0, k)), one / trace)
 
 
 @wp.func
@@ -48,11 +59,13 @@ def implicit_share(stiffness: Any, damping: Any, inertia: Any, h: wp.float64, ma
     """gamma h K of one joint, the damping that its implicit share amounts to.
 
     gamma = 0 where 1/2 - (2 margin I + h D) / (h^2 K) < 0; else that value plus 1/2, since at the bare threshold a
-    mode that the step cannot resolve flips its sign every step and never decays.
+    mode that the step cannot resolve flips its sign every step and never decays. A negative inertia is made up for
+    twice.
     """
     dt = real(h, stiffness)
     half = real(0.5, dt) * stiffness * dt
-    need = fnma(real(margin, dt) * 2.0, inertia / dt, half - damping)
+    room = where_neg(inertia, inertia * 4.0, inertia * real(margin, dt) * 2.0)
+    need = half - damping - room / dt
     return where_neg(need, real(0.0, dt), need + half)
 
 

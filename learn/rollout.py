@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 import warp as wp
 
 from ..kernels.rollout import rollout_kernels
-from ..kernels.stability import damping_kernel
 from ..sim.arrays import LaneArray
 from ..sim.host import simd_width
 from ..sim.model import Model
@@ -81,7 +81,7 @@ class Rollout:
     """
 
     def __init__(
-        self, case: BranchCase | JointCase, chosen: Sequence[Recording], num_sets: int, *, device: object = None
+        self, case: BranchCase | JointCase, chosen: Sequence[Recording], num_sets: int, *, device: Any = None
     ) -> None:
         self.case, self.plant = case, plant_of(case)
         self.recordings = list(chosen)
@@ -103,9 +103,9 @@ class Rollout:
         inputs = np.zeros((count, longest, 3))
         for j, r in enumerate(self.recordings):
             inputs[j, : len(r.t)] = r.input
-        trajectory = wp.array(np.repeat(np.arange(count), self._blocks), dtype=int, device=dev)
-        length = wp.array(self._samples, dtype=int, device=dev)
-        drive = wp.array(inputs, dtype=wp.vec3d, device=dev)
+        trajectory: wp.array = wp.array(np.repeat(np.arange(count), self._blocks), dtype=int, device=dev)
+        length: wp.array = wp.array(self._samples, dtype=int, device=dev)
+        drive: wp.array = wp.array(inputs, dtype=wp.vec3d, device=dev)
         kernels = rollout_kernels(m.width, m.precision)
         before = [sim._dynamics, sim.state.kernel, sim.load.kernel]
         if isinstance(self.plant, BranchPlant):
@@ -115,7 +115,9 @@ class Rollout:
             from ..sim.rotation import conjugate, rotate
 
             sim.load.point.torch[:, :, place] = torch.as_tensor(
-                rotate(conjugate(frame), point - m.links.anchor[link]), dtype=sim.load.point.torch.dtype, device=str(dev)
+                rotate(conjugate(frame), point - m.links.anchor[link]),
+                dtype=sim.load.point.torch.dtype,
+                device=str(dev),
             )
             self.channels = 6
             kernel, before = kernels.point, [*before, place, trajectory, length, drive]
@@ -132,7 +134,7 @@ class Rollout:
         place = self.model.link_place
         driven = int(place[names.index(case.input.joint)]) if case.input else int(place[0])
         linear = int(case.input is None or case.input.hold == "linear")
-        watched = wp.array(place[: len(names)].astype(np.int32), dtype=int, device=self.device)
+        watched: wp.array = wp.array(place[: len(names)].astype(np.int32), dtype=int, device=self.device)
         self.channels = 3 * len(names)
         quantity = {"position": 0, "velocity": 1, "acceleration": 2}
         self._select = [3 * names.index(o.joint) + quantity[o.quantity] for o in case.outputs]

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -104,6 +105,8 @@ def _check(options: Forest) -> None:
     need(0.0 <= options.noise <= 1.0, "--noise", options.noise, "0 to 1")
     need(options.seed >= 0, "--seed", options.seed, "0 or more")
     need(len(options.format) > 0, "--format", "none", "at least one of mjcf, urdf, glb, usd")
+    installed = "usd" not in options.format or find_spec("pxr") is not None
+    need(installed, "--format", "usd without the package usd-core", "with it: pip install 'bough[usd]'")
     width = options.picture_width
     need(width == 0 or 64 <= width <= 8192, "--picture-width", width, "0 for no picture, or 64 to 8192")
     both = options.species is not None and options.lsystem is not None

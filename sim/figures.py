@@ -63,12 +63,12 @@ def _shifts(tree: Tree, trajectory: Trajectory) -> tuple[Array, list[str]]:
     bodies, local = own_bodies(tree), np.zeros((len(trajectory.body_name), 3))
     local[np.searchsorted(bodies, tree.shape_link)] = tree.shape_end
     first = _ends(trajectory, slice(0, 1), slice(None), local)[:, 0]
-    most = np.argsort(-np.linalg.norm(first - first[:1], axis=-1).max(axis=0), kind="stable")[: len(COLORS)]
+    most: IntArray = np.argsort(-np.linalg.norm(first - first[:1], axis=-1).max(axis=0), kind="stable")[: len(COLORS)]
     ends = _ends(trajectory, slice(None), most, local[most])
     return ends - ends[:1], [trajectory.body_name[b] for b in most]
 
 
-def _ends(trajectory: Trajectory, worlds: slice, bodies: slice | Array, local: Array) -> Array:
+def _ends(trajectory: Trajectory, worlds: slice, bodies: slice | IntArray, local: Array) -> Array:
     """Points given in the bodies' frames [B, 3], in the world [m], shape [T, W, B, 3]."""
     pos, quat = (a[:, worlds][:, :, bodies].astype(np.float64) for a in (trajectory.body_pos, trajectory.body_quat))
     return pos + quat_rotate(quat, local)
@@ -136,7 +136,7 @@ def _segments(tree: Tree, trajectory: Trajectory, times: IntArray, worlds: IntAr
     return ends_above, pos, np.ones(len(bodies))
 
 
-def _body_above(tree: Tree, link: int, bodies: Array) -> int:
+def _body_above(tree: Tree, link: int, bodies: IntArray) -> int:
     """Index of the body that a body hangs on, -1 for the world."""
     parent = int(tree.parent[link])
     while parent >= 0 and parent not in bodies:

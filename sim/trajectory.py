@@ -35,8 +35,8 @@ class Trajectory:
 
     def save(self, path: str | Path, **further: Array) -> None:
         """Write all arrays, and further ones by name, as ``.npz``."""
-        fields = {k: v for k, v in vars(self).items() if k != "body_name"}
-        np.savez(path, body_name=np.array(self.body_name), **fields, **further)
+        fields: dict[str, Any] = {**vars(self), "body_name": np.array(self.body_name), **further}
+        np.savez(path, **fields)
 
 
 def own_bodies(tree: Tree) -> IntArray:
@@ -84,7 +84,7 @@ def record(
             simulator.step()
             look(k + 1)
             advance(1)
-    time = simulator.dt * np.arange(steps + 1)
+    time: Array = simulator.dt * np.arange(steps + 1, dtype=np.float64)
     return Trajectory(time, [tree.link_name[i] for i in bodies], pos, quat, _frozen(simulator))
 
 

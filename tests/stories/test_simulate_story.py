@@ -41,7 +41,7 @@ def bent(model, rng):
     return qpos
 
 
-@pytest.mark.parametrize("seed", [0, 1, 4])
+@pytest.mark.parametrize("seed", [1, 4])
 def test_a_strange_mjcf_moves_as_in_mujoco(bough, tmp_path, seed):
     """Follow C MuJoCo at the same step to round-off: same integrator where its springs are stable.
 
