@@ -9,8 +9,26 @@ from typing import Any
 
 import warp as wp
 
-from .real import REAL_OF_WIDTH, Double, add, any_neg, atan_ratio, cos_root, div, mul, real, real_type, round_, sin_ratio
-from .real import fma, fnma, lane, sqrt_, sub, where_neg
+from .real import (
+    REAL_OF_WIDTH,
+    Double,
+    add,
+    any_neg,
+    atan_ratio,
+    cos_root,
+    div,
+    fma,
+    fnma,
+    lane,
+    mul,
+    real,
+    real_type,
+    round_,
+    sin_ratio,
+    sqrt_,
+    sub,
+    where_neg,
+)
 
 __all__ = ["types_of"]
 

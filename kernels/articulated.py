@@ -31,9 +31,30 @@ from typing import Any
 
 import warp as wp
 
-from .algebra import about_axis, add, add_cross, add_dot, add_mul, add_scaled, cross, div, dot, exponential
-from .algebra import half_angle_log, mul, renormalised, rotate, shifted_inverse, sub, sub_dot, sub_mul, sub_outer
-from .algebra import sub_scaled, transposed_mul, unrotate
+from .algebra import (
+    about_axis,
+    add,
+    add_cross,
+    add_dot,
+    add_mul,
+    add_scaled,
+    cross,
+    div,
+    dot,
+    exponential,
+    half_angle_log,
+    mul,
+    renormalised,
+    rotate,
+    shifted_inverse,
+    sub,
+    sub_dot,
+    sub_mul,
+    sub_outer,
+    sub_scaled,
+    transposed_mul,
+    unrotate,
+)
 from .real import any_neg, fma, lane_neg, real, sqrt_, where_neg
 
 __all__ = ["FIXED", "PRISMATIC", "REVOLUTE", "SPHERICAL"]
@@ -134,12 +155,8 @@ def own_inertia(e: int, row: int, i: int, m: Any, s: Any):
     one = real(1.0, q.w)
     two = real(2.0, q.w)
     like = s.r[row, i]
-    ex = type(like)(
-        one - two * fma(q.y, q.y, q.z * q.z), two * fma(q.w, q.z, q.x * q.y), two * (q.x * q.z - q.w * q.y)
-    )
-    ez = type(like)(
-        two * fma(q.w, q.y, q.x * q.z), two * (q.y * q.z - q.w * q.x), one - two * fma(q.x, q.x, q.y * q.y)
-    )
+    ex = type(like)(one - two * fma(q.y, q.y, q.z * q.z), two * fma(q.w, q.z, q.x * q.y), two * (q.x * q.z - q.w * q.y))
+    ez = type(like)(two * fma(q.w, q.y, q.x * q.z), two * (q.y * q.z - q.w * q.x), one - two * fma(q.x, q.x, q.y * q.y))
     principal = m.inertia[e, i]
     iy = principal.y
     ux = ex * (principal.x - iy)
@@ -254,20 +271,24 @@ def fold_spherical(
     s.u[row, i] = u
     p = m.parent[e, i]
     if p > 0:
-        minus = real(0.0, k) - k * k
-        passed = type(A)(
-            fma(D.xx, minus, k), D.xy * minus, D.xz * minus, fma(D.yy, minus, k), D.yz * minus, fma(D.zz, minus, k)
-        )
-        reduced = type(A)(
-            sub_dot(M.xx, B.x, U.x),
-            sub_dot(M.xy, B.x, U.y),
-            sub_dot(M.xz, B.x, U.z),
-            sub_dot(M.yy, B.y, U.y),
-            sub_dot(M.yz, B.y, U.z),
-            sub_dot(M.zz, B.z, U.z),
-        )
         f = type(f0)(add_dot(f0.x, B.x, u), add_dot(f0.y, B.y, u), add_dot(f0.z, B.z, u))
-        hand_in(e, row, i, p, m, s, passed, U * k, reduced, n0 + sub_scaled(t, u, k), f)
+        hand_in_spherical(e, row, i, p, m, s, D, B, U, M, k, n0 + sub_scaled(t, u, k), f)
+
+
+@wp.func(inline=True)
+def hand_in_spherical(
+    e: int, row: int, i: int, p: int, m: Any, s: Any, D: Any, B: Any, U: Any, M: Any, k: Any, n: Any, f: Any
+):
+    """Hand in what is left of the inertia across a spherical joint: k - k^2 D, k D B and M - B^T D B, with U = D B."""
+    minus = real(0.0, k) - k * k
+    passed = type(D)(
+        fma(D.xx, minus, k), D.xy * minus, D.xz * minus, fma(D.yy, minus, k), D.yz * minus, fma(D.zz, minus, k)
+    )
+    reduced = type(D)(
+        sub_dot(M.xx, B.x, U.x), sub_dot(M.xy, B.x, U.y), sub_dot(M.xz, B.x, U.z),
+        sub_dot(M.yy, B.y, U.y), sub_dot(M.yz, B.y, U.z), sub_dot(M.zz, B.z, U.z),
+    )  # fmt: skip
+    hand_in(e, row, i, p, m, s, passed, U * k, reduced, n, f)
 
 
 @wp.func
@@ -304,11 +325,20 @@ def fold_scalar(
     s.U[row, i] = type(B)(un, uf, axis)
     s.u[row, i] = type(n)(t * inverse, inverse, inverse)
     if p > 0:
-        vn = un * inverse
-        vf = uf * inverse
-        reduced = type(B)(sub_scaled(B.x, un, vf.x), sub_scaled(B.y, un, vf.y), sub_scaled(B.z, un, vf.z))
-        hand_in(e, row, i, p, m, s, sub_outer(A, vn, un), reduced, sub_outer(M, vf, uf), add_scaled(n, vn, t),
-                add_scaled(f, vf, t))  # fmt: skip
+        hand_in_scalar(e, row, i, p, m, s, A, B, M, n, f, un, uf, inverse, t)
+
+
+@wp.func
+def hand_in_scalar(
+    e: int, row: int, i: int, p: int, m: Any, s: Any, A: Any, B: Any, M: Any, n: Any, f: Any, un: Any, uf: Any,
+    inverse: Any, t: Any,
+):  # fmt: skip
+    """Hand in what is left of the inertia across a joint of one axis: I - U U^T / d and p0 + U t / d."""
+    vn = un * inverse
+    vf = uf * inverse
+    reduced = type(B)(sub_scaled(B.x, un, vf.x), sub_scaled(B.y, un, vf.y), sub_scaled(B.z, un, vf.z))
+    hand_in(e, row, i, p, m, s, sub_outer(A, vn, un), reduced, sub_outer(M, vf, uf), add_scaled(n, vn, t),
+            add_scaled(f, vf, t))  # fmt: skip
 
 
 @wp.func(inline=True)

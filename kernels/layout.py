@@ -4,7 +4,7 @@ Every array is indexed [group, link]: a group is one world, or the 8 or 16 world
 the world's slot, links are 1..count. World ``w`` sits in slot ``w`` = group * lanes + lane.
 """
 
-from functools import lru_cache
+from functools import cache, lru_cache
 from types import SimpleNamespace
 
 import warp as wp
@@ -14,7 +14,7 @@ from .algebra import types_of
 __all__ = ["layout_of"]
 
 
-@lru_cache(maxsize=None)
+@cache
 def layout_of(width: int = 1, precision: int = 32) -> SimpleNamespace:
     """Return the structs Model, State, Load and Scratch over the reals of one width and precision.
 

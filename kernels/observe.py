@@ -1,6 +1,6 @@
 """Kernels that look at worlds without moving them: body poses, probe points, energy and momentum."""
 
-from functools import lru_cache
+from functools import cache, lru_cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -30,7 +30,7 @@ def locate_links(e: int, row: int, m: Any, s: Any):
         s.alpha[row, i] = v
 
 
-@lru_cache(maxsize=None)
+@cache
 def observe_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
     """Return the kernels ``poses``, ``probes`` and ``energy`` for a lane width and precision.
 

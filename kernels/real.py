@@ -7,8 +7,8 @@ Physics here is written once over a scalar called a *real*, and compiled for
 - lanes       : 8 or 16 worlds in the SIMD lanes of one CPU thread (float32).
 
 Lane arithmetic is bit-equal to scalar arithmetic: every operation is the IEEE operation on each lane, and the compiler
-contracts nothing: products are fused with sums only where the source says ``fma``. Operators resolve to the overloads named ``add``, ``sub``, ``mul`` and ``div`` below; named helpers are
-overloaded likewise:
+contracts nothing: products are fused with sums only where the source says ``fma``. Operators resolve to the overloads
+named ``add``, ``sub``, ``mul`` and ``div`` below; named helpers are overloaded likewise:
 
 ========================  ==============================================================================
 ``real(c, like)``         the constant c as a real of the type of ``like`` (whose value is not read)
@@ -454,6 +454,7 @@ for _W in (8, 16):
     @wp.func
     def lane(a: Lanes, i: int):
         return a.v[i]
+
 
 del V, Lanes
 

@@ -1,6 +1,6 @@
 """Put chosen worlds back to a stored state; the others are not touched."""
 
-from functools import lru_cache
+from functools import cache, lru_cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,7 +11,7 @@ from .real import SOURCE
 __all__ = ["reset_kernels"]
 
 
-@lru_cache(maxsize=None)
+@cache
 def reset_kernels(precision: int = 32) -> SimpleNamespace:
     """Return ``restore`` (one field of every link) and ``revive`` (guard flags) for a precision."""
     Scalar: Any = wp.float64 if precision == 64 else wp.float32

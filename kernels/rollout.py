@@ -1,6 +1,6 @@
 """Kernels that replay recorded trajectories: many parameter sets against the same inputs, in one launch."""
 
-from functools import lru_cache
+from functools import cache, lru_cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,7 +21,7 @@ def vec_of(v: wp.vec3d, like: Any):
     return type(like)(real(v[0], like.x), real(v[1], like.x), real(v[2], like.x))
 
 
-@lru_cache(maxsize=None)
+@cache
 def rollout_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
     """Return ``point`` (a point of a link pushed and watched) and ``joint`` (joints driven and watched).
 
@@ -55,7 +55,7 @@ def rollout_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
         bound: wp.float64,
         output_out: wp.array2d(dtype=Real),
     ):
-        """Push link ``place`` at its load point with the recorded force; write its position and velocity, 6 a sample."""
+        """Push link ``place`` at its load point as recorded; write the point's position and velocity, 6 a sample."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)

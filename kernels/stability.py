@@ -12,16 +12,26 @@ the articulated inertia of the pivots before it. gamma_i is the smallest share t
 ``implicitfast``.
 """
 
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import warp as wp
 
-from .algebra import add, add_cross, add_dot, add_mul, add_scaled, cross, div, dot, mul, rotate, shifted_inverse, sub
-from .algebra import sub_dot, sub_mul, sub_outer, sub_scaled, transposed_mul
-from .articulated import FIXED, REVOLUTE, SPHERICAL, hand_in, own_inertia, place_links, place_root, skew
+from .algebra import add, div, dot, mul, rotate, shifted_inverse, sub, transposed_mul
+from .articulated import (
+    FIXED,
+    REVOLUTE,
+    SPHERICAL,
+    hand_in,
+    hand_in_scalar,
+    hand_in_spherical,
+    own_inertia,
+    place_links,
+    place_root,
+    skew,
+)
 from .layout import layout_of
-from .real import SOURCE, any_neg, fma, fnma, real, sqrt_, where_neg
+from .real import SOURCE, fma, fnma, real, sqrt_, where_neg
 
 __all__ = ["damping_kernel"]
 
@@ -70,27 +80,120 @@ def implicit_share(stiffness: Any, damping: Any, inertia: Any, h: wp.float64, ma
 
 
 @wp.func
-def pivot_stiffness(stiffness: Any, damping: Any, effective: Any, h: wp.float64):
+def pivot_stiffness(stiffness: Any, effective: Any, h: wp.float64):
     """C / 4 = (2 h D' - h^2 K) / 4 with D' = D + gamma h K the damping in effect."""
     dt = real(h, stiffness)
     return fnma(stiffness * dt, dt, effective * dt * 2.0) * real(0.25, dt)
 
 
-@lru_cache(maxsize=None)
-def damping_kernel(width: int = 1, precision: int = 32) -> Any:
-    """Return the kernel that writes D + gamma h K of every joint at the pose of ``x_in``.
+@wp.func
+def raise_to(damping_out: Any, e: int, i: int, value: Any):
+    """Raise a joint's damping to a value that it has not reached."""
+    old = damping_out[e, i]
+    damping_out[e, i] = where_neg(old - value, value, old)
 
-    An entry is only ever raised, so that several poses can be taken into account by as many launches; fill the output
-    with the physical damping first.
+
+@wp.func
+def judge_spherical(
+    e: int, row: int, i: int, m: Any, s: Any, A: Any, B: Any, M: Any, h: wp.float64, margin: wp.float64,
+    damping_out: Any,
+):  # fmt: skip
+    """Eliminate a spherical joint; return the damping that its implicit share amounts to."""
+    stiffness = m.stiffness[e, i]
+    damping = m.damping[e, i]
+    armature = m.armature[e, i]
+    share = implicit_share(stiffness, damping, least_eigenvalue(A, armature), h, margin)
+    raise_to(damping_out, e, i, damping + share)
+    k = armature + pivot_stiffness(stiffness, damping_out[e, i], h)
+    p = m.parent[e, i]
+    if p > 0:
+        D = shifted_inverse(A, k)
+        o = real(0.0, k)
+        zero = type(B.x)(o, o, o)
+        hand_in_spherical(e, row, i, p, m, s, D, B, D * B, M, k, zero, zero)
+    return share
+
+
+@wp.func
+def judge_scalar(
+    e: int, row: int, i: int, kind: int, m: Any, s: Any, A: Any, B: Any, M: Any, h: wp.float64, margin: wp.float64,
+    damping_out: Any,
+):  # fmt: skip
+    """Eliminate a revolute or prismatic joint; return the damping that its implicit share amounts to."""
+    axis = rotate(s.pose[row, i], m.axis[e, i])
+    un = B * axis
+    uf = M * axis
+    d = dot(axis, uf)
+    if kind == REVOLUTE:
+        un = A * axis
+        uf = transposed_mul(B, axis)
+        d = dot(axis, un)
+    stiffness = m.stiffness[e, i]
+    damping = m.damping[e, i]
+    inertia = d + m.armature[e, i]
+    share = implicit_share(stiffness, damping, inertia, h, margin)
+    raise_to(damping_out, e, i, damping + share)
+    p = m.parent[e, i]
+    if p > 0:
+        o = real(0.0, d)
+        zero = type(B.x)(o, o, o)
+        inverse = 1.0 / (inertia + pivot_stiffness(stiffness, damping_out[e, i], h))
+        hand_in_scalar(e, row, i, p, m, s, A, B, M, zero, zero, un, uf, inverse, o)
+    return share
+
+
+@wp.func
+def judge_link(e: int, row: int, i: int, m: Any, s: Any, h: wp.float64, margin: wp.float64, damping_out: Any):
+    """Eliminate a link's joint after those beyond it; return the damping that its implicit share amounts to."""
+    mass = m.mass[e, i]
+    o = real(0.0, mass)
+    A = own_inertia(e, row, i, m, s)
+    B = skew(rotate(s.pose[row, i], m.com[e, i]) * mass, s.U[row, i])
+    M = type(A)(mass, o, o, mass, o, mass)
+    if m.inner[e, i] == 1:
+        A = A + s.A[row, i]
+        B = B + s.B[row, i]
+        M = M + s.M[row, i]
+    kind = m.kind[e, i]
+    share = o
+    if kind == SPHERICAL:
+        share = judge_spherical(e, row, i, m, s, A, B, M, h, margin, damping_out)
+    elif kind == FIXED:
+        p = m.parent[e, i]
+        zero = type(B.x)(o, o, o)
+        if p > 0:
+            hand_in(e, row, i, p, m, s, A, B, M, zero, zero)
+    else:
+        share = judge_scalar(e, row, i, kind, m, s, A, B, M, h, margin, damping_out)
+    return share
+
+
+@wp.func
+def hold_world(e: int, m: Any, implicit: Any, h: wp.float64, damping_out: Any, limit_out: Any):
+    """Where any spring of a world is implicit, make all of them implicit by half and limit every joint's speed.
+
+    What the step cannot resolve in one joint drives the others.
+    """
+    limit = real(LIMITED_TURN / h, implicit)
+    half = real(0.5, implicit) * real(h, implicit)
+    none = implicit * -1.0
+    for i in range(1, m.count[e] + 1):
+        value = fma(m.stiffness[e, i], half, m.damping[e, i])
+        old = damping_out[e, i]
+        value = where_neg(old - value, value, old)
+        damping_out[e, i] = where_neg(none, value, old)
+        limit_out[e, i] = where_neg(none, limit, limit_out[e, i])
+
+
+@cache
+def damping_kernel(width: int = 1, precision: int = 32) -> Any:
+    """Return the kernel that writes D + gamma h K and the speed limit of every joint at the pose of ``x_in``.
+
+    Damping is only ever raised, so that several poses can be taken into account by as many launches; fill the outputs
+    with the physical damping and the guard's bound first.
     """
     t = layout_of(width, precision)
     Model, State, Scratch, Real = t.Model, t.State, t.Scratch, t.Real
-
-    @wp.func
-    def raise_to(damping_out: wp.array2d(dtype=Real), e: int, i: int, value: Real):
-        """Raise a joint's damping to a value it has not reached."""
-        old = damping_out[e, i]
-        damping_out[e, i] = where_neg(old - value, value, old)
 
     @wp.kernel(enable_backward=False, module="unique")
     def implicit_damping(
@@ -105,76 +208,7 @@ def damping_kernel(width: int = 1, precision: int = 32) -> Any:
         implicit = real(0.0, m.mass[e, 1])
         n = m.count[e]
         for step in range(n):
-            i = n - step
-            mass = m.mass[e, i]
-            o = real(0.0, mass)
-            A = own_inertia(e, r, i, m, s_out)
-            mc = rotate(s_out.pose[r, i], m.com[e, i]) * mass
-            B = skew(mc, s_out.U[r, i])
-            M = type(A)(mass, o, o, mass, o, mass)
-            if m.inner[e, i] == 1:
-                A = A + s_out.A[r, i]
-                B = B + s_out.B[r, i]
-                M = M + s_out.M[r, i]
-            kind = m.kind[e, i]
-            stiffness = m.stiffness[e, i]
-            damping = m.damping[e, i]
-            armature = m.armature[e, i]
-            zero = type(mc)(o, o, o)
-            p = m.parent[e, i]
-            if kind == SPHERICAL:
-                inertia = least_eigenvalue(A, armature)
-                share = implicit_share(stiffness, damping, inertia, h, margin)
-                raise_to(damping_out, e, i, damping + share)
-                implicit = implicit + share
-                k = armature + pivot_stiffness(stiffness, damping, damping_out[e, i], h)
-                D = shifted_inverse(A, k)
-                U = D * B
-                if p > 0:
-                    minus = o - k * k
-                    passed = type(A)(
-                        fma(D.xx, minus, k), D.xy * minus, D.xz * minus,
-                        fma(D.yy, minus, k), D.yz * minus, fma(D.zz, minus, k),
-                    )  # fmt: skip
-                    reduced = type(A)(
-                        sub_dot(M.xx, B.x, U.x), sub_dot(M.xy, B.x, U.y), sub_dot(M.xz, B.x, U.z),
-                        sub_dot(M.yy, B.y, U.y), sub_dot(M.yz, B.y, U.z), sub_dot(M.zz, B.z, U.z),
-                    )  # fmt: skip
-                    hand_in(e, r, i, p, m, s_out, passed, U * k, reduced, zero, zero)
-            elif kind == FIXED:
-                if p > 0:
-                    hand_in(e, r, i, p, m, s_out, A, B, M, zero, zero)
-            else:
-                axis = rotate(s_out.pose[r, i], m.axis[e, i])
-                un = B * axis
-                uf = M * axis
-                d = dot(axis, uf)
-                if kind == REVOLUTE:
-                    un = A * axis
-                    uf = transposed_mul(B, axis)
-                    d = dot(axis, un)
-                inertia = d + armature
-                share = implicit_share(stiffness, damping, inertia, h, margin)
-                raise_to(damping_out, e, i, damping + share)
-                implicit = implicit + share
-                d = inertia + pivot_stiffness(stiffness, damping, damping_out[e, i], h)
-                inverse = 1.0 / d
-                if p > 0:
-                    vn = un * inverse
-                    vf = uf * inverse
-                    rest = type(B)(sub_scaled(B.x, un, vf.x), sub_scaled(B.y, un, vf.y), sub_scaled(B.z, un, vf.z))
-                    hand_in(e, r, i, p, m, s_out, sub_outer(A, vn, un), rest, sub_outer(M, vf, uf), zero, zero)
-
-        limit = real(LIMITED_TURN / h, implicit)
-        half = real(0.5, implicit) * real(h, implicit)
-        for i in range(1, n + 1):
-            # springs of a world that has an implicit one are all implicit by half: what the step cannot resolve in one
-            # joint drives the others
-            value = fma(m.stiffness[e, i], half, m.damping[e, i])
-            old = damping_out[e, i]
-            value = where_neg(old - value, value, old)
-            none = implicit * -1.0
-            damping_out[e, i] = where_neg(none, value, old)
-            limit_out[e, i] = where_neg(none, limit, limit_out[e, i])
+            implicit = implicit + judge_link(e, r, n - step, m, s_out, h, margin, damping_out)
+        hold_world(e, m, implicit, h, damping_out, limit_out)
 
     return implicit_damping

@@ -1,6 +1,6 @@
 """Kernels that advance worlds in time."""
 
-from functools import lru_cache
+from functools import cache, lru_cache
 from types import SimpleNamespace
 
 import warp as wp
@@ -12,7 +12,7 @@ from .real import SOURCE
 __all__ = ["step_kernels"]
 
 
-@lru_cache(maxsize=None)
+@cache
 def step_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
     """Return the kernels ``step`` and ``step_loaded`` for a lane width and precision.
 

@@ -66,7 +66,9 @@ def levenberg_marquardt(
         better = (cost < best_cost) & torch.isfinite(cost)
         rows = (jacobian_rows(target, derivative) * weight[..., None]).flatten(1, 3)
         normal = rows.transpose(1, 2) @ rows
-        pull = (rows.transpose(1, 2) @ residual.flatten(1)[..., None])[..., 0] + _prior_gradient(target, trial)[:, :free]
+        pull = (rows.transpose(1, 2) @ residual.flatten(1)[..., None])[..., 0] + _prior_gradient(target, trial)[
+            :, :free
+        ]
         pull[:, :frozen] = 0.0
         normal[:, :frozen], normal[:, :, :frozen] = 0.0, 0.0
         if step_from is None:

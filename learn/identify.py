@@ -131,9 +131,7 @@ def run(case: BranchCase | JointCase, settings: Settings, progress: Progress = l
     prediction = predict(case, posterior, [every[j] for j in test], torch.as_tensor(sigma), seed=settings.seed)
     progress("prediction", 1)
     seconds = {"inference": learnt - clock, "prediction": time.perf_counter() - learnt}
-    return Outcome(
-        case, settings, noise, sigma, train, test, posterior, prediction, target.world_steps, seconds
-    )
+    return Outcome(case, settings, noise, sigma, train, test, posterior, prediction, target.world_steps, seconds)
 
 
 def _check_moves(case: BranchCase | JointCase, j: int, recording: Recording) -> None:
@@ -142,7 +140,9 @@ def _check_moves(case: BranchCase | JointCase, j: int, recording: Recording) -> 
         raise InputError(case.folder / case.trajectories[j].file, "", "no motion in any row", "a trajectory that moves")
 
 
-def identify(folder: str | Path, out: str | Path, settings: Settings, progress: Progress = lambda s, d: None) -> Outcome:
+def identify(
+    folder: str | Path, out: str | Path, settings: Settings, progress: Progress = lambda s, d: None
+) -> Outcome:
     """Identify the case in ``folder`` and write posterior, report and figures into ``out``.
 
     Raises:
@@ -182,7 +182,9 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         "unit": unit,
         "parameters": {
             name: {"median": float(m), "low": float(a), "high": float(b), "unit": u}
-            for name, m, a, b, u in zip(outcome.posterior.names, middle, low, high, outcome.posterior.units, strict=True)
+            for name, m, a, b, u in zip(
+                outcome.posterior.names, middle, low, high, outcome.posterior.units, strict=True
+            )
         },
         "trajectories": {
             "train": [j + 1 for j in outcome.train],
@@ -292,7 +294,7 @@ def _figures(outcome: Outcome, scale: float, unit: str) -> list[ReportFigure]:
         ReportFigure(
             "residual.png",
             residual_figure(p.t, scaled["residual"], scale * outcome.sigma[main], label=f"residual [{unit}]"),
-            "What the model leaves over, against the noise: if it is only noise, it fills the green band and has no memory.",
+            "What the model leaves over, against the noise: mere noise fills the green band and has no memory.",
         ),
     ]  # fmt: skip
     if isinstance(case, BranchCase):

@@ -36,7 +36,8 @@ class Parameter:
 class Write(Protocol):
     """Writes values [sets] of one field entry into the worlds of all sets: (field, place, component, values)."""
 
-    def __call__(self, field: str, place: int, component: int, values: torch.Tensor) -> None: ...
+    def __call__(self, field: str, place: int, component: int, values: torch.Tensor) -> None:
+        """Write."""
 
 
 class Plant(Protocol):
@@ -149,7 +150,9 @@ class JointPlant:
         n = len(self.joints)
         revolute = np.array([j.type == "revolute" for j in self.joints])
         zero = np.array([0.0 if j.gravity_torque is None else j.gravity_torque.zero_angle for j in self.joints])
-        amplitude = np.array([0.0 if j.gravity_torque is None else j.gravity_torque.amplitude or 0.0 for j in self.joints])
+        amplitude = np.array(
+            [0.0 if j.gravity_torque is None else j.gravity_torque.amplitude or 0.0 for j in self.joints]
+        )
         inertia = np.array([j.inertia or 1.0 for j in self.joints])
         self._hang = np.stack([np.sin(zero), np.zeros(n), -np.cos(zero)], axis=-1)
         known = amplitude != 0.0

@@ -42,7 +42,7 @@ class Posterior:
     drift: float
 
     def interval(self) -> tuple[Array, Array, Array]:
-        """Return median, lower and upper end of every parameter's 95 % interval, from the normal fit to its logarithm."""
+        """Return median, lower and upper end of every parameter's 95 % interval, by a normal fit to its logarithm."""
         logs = np.log(self.particles)
         mean, spread = logs.mean(0), logs.std(0, ddof=1)
         return np.exp(mean), np.exp(mean - 1.96 * spread), np.exp(mean + 1.96 * spread)
@@ -113,7 +113,9 @@ def infer(
         progress("particles", 1)
     theta = centre + torch.linalg.solve_triangular(whitener.T, z.T, upper=True).T
     tail = torch.stack(means[-max(2, iterations // 10) :])
-    return _posterior(target, theta, modes, np.array(trace_p), np.array(trace_m), float((tail[-1] - tail[0]).abs().max()))
+    return _posterior(
+        target, theta, modes, np.array(trace_p), np.array(trace_m), float((tail[-1] - tail[0]).abs().max())
+    )
 
 
 def _spread(modes: Modes, whitener: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:

@@ -41,13 +41,20 @@ class Prediction:
     @property
     def coverage(self) -> float:
         """Share of measured points inside the interval."""
-        inside = [(m >= a) & (m <= b) for m, a, b in zip(self._of(self.measured), self._of(self.low), self._of(self.high), strict=True)]
+        inside = [
+            (m >= a) & (m <= b)
+            for m, a, b in zip(self._of(self.measured), self._of(self.low), self._of(self.high), strict=True)
+        ]
         return float(np.concatenate([i.ravel() for i in inside]).mean())
 
     @property
     def width(self) -> float:
         """Mean width of the interval, in the channels' unit."""
-        return float(np.concatenate([(b - a).ravel() for a, b in zip(self._of(self.low), self._of(self.high), strict=True)]).mean())
+        return float(
+            np.concatenate(
+                [(b - a).ravel() for a, b in zip(self._of(self.low), self._of(self.high), strict=True)]
+            ).mean()
+        )
 
     @property
     def rms(self) -> float:
@@ -78,7 +85,9 @@ def predict(
     low, median, high, measured = [], [], [], []
     for j, recording in enumerate(recordings):
         clean = simulated[:, j, : len(recording.t)]
-        noise = rng.normal(size=(DRAWS, *clean.shape)) if clean.size * DRAWS < 5e7 else rng.normal(size=(8, *clean.shape))
+        noise = (
+            rng.normal(size=(DRAWS, *clean.shape)) if clean.size * DRAWS < 5e7 else rng.normal(size=(8, *clean.shape))
+        )
         read = (clean + noise * posterior.noise[:, None, :]).reshape(-1, *clean.shape[1:])
         a, b = np.quantile(read, [0.025, 0.975], axis=0)
         low.append(a)

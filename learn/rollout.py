@@ -11,6 +11,7 @@ import torch
 import warp as wp
 
 from ..kernels.rollout import rollout_kernels
+from ..sim import rotation
 from ..sim.arrays import LaneArray
 from ..sim.host import simd_width
 from ..sim.model import Model
@@ -28,7 +29,7 @@ class Recording:
         t: Times [s], shape [T].
         input: What acts at the samples: force [N] shape [T, 3], or joint effort in the first column.
         output: Measured channels, shape [T, C].
-        start: Coordinate and rate of the watched joints at the first sample, shape [J, 2]; empty where it starts at rest.
+        start: Coordinate and rate of the joints at the first sample, shape [J, 2]; empty where it starts at rest.
     """
 
     t: Array
@@ -55,7 +56,7 @@ def recordings(case: BranchCase | JointCase) -> list[Recording]:
 
 
 def _first_state(case: JointCase, output: Array, t: Array) -> Array:
-    """Guess coordinate and rate of every joint at the first sample from a line or parabola through the first samples."""
+    """Guess coordinate and rate of every joint at the first sample by a parabola through the first samples."""
     start = np.zeros((len(case.joints), 2))
     n = max(3, min(len(t), int(0.02 * len(t)) + 1, 40))
     names = [j.name for j in case.joints]
@@ -112,10 +113,8 @@ class Rollout:
             link, point = self.plant.grasp
             place = int(m.link_place[link])
             frame = m.links.frame[link]
-            from ..sim.rotation import conjugate, rotate
-
             sim.load.point.torch[:, :, place] = torch.as_tensor(
-                rotate(conjugate(frame), point - m.links.anchor[link]),
+                rotation.rotate(rotation.conjugate(frame), point - m.links.anchor[link]),
                 dtype=sim.load.point.torch.dtype,
                 device=str(dev),
             )

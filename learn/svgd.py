@@ -40,8 +40,8 @@ def coordinate_direction(particles: torch.Tensor, gradient: torch.Tensor) -> tor
     """Steepest direction under the matrix-valued kernel diag(k_1, ..., k_D), one kernel a coordinate, shape [P, D].
 
     One kernel for all coordinates loses their spread as D grows (with 32 particles in 8 dimensions a third of the
-    variance is left); kernels of single coordinates keep it (0.94), and are right for a density that is nearly a product
-    in these coordinates, as a whitened posterior is. Wang et al. 2019, Stein variational gradient descent with
+    variance is left); kernels of single coordinates keep it (0.94), and are right for a density that is nearly a
+    product in these coordinates, as a whitened posterior is. Wang et al. 2019, Stein variational gradient descent with
     matrix-valued kernels; Zhuo et al. 2018, message passing SVGD.
     """
     difference = particles[:, None] - particles[None, :]

@@ -56,7 +56,13 @@ class Target:
         temperature: float = 0.01,
         device: object = None,
     ) -> None:
-        self.case, self.recordings, self.loss, self.temperature, self.device = case, list(chosen), loss, temperature, device
+        self.case, self.recordings, self.loss, self.temperature, self.device = (
+            case,
+            list(chosen),
+            loss,
+            temperature,
+            device,
+        )
         self._rollouts: dict[int, Rollout] = {}
         self.plant = self.rollout(1).plant
         self.sigma0 = sigma.double()
@@ -79,7 +85,9 @@ class Target:
             self.weight[j, : len(r.t)] = 1.0
         scale = self.measured.abs().amax((0, 1)).clamp(min=1e-9)
         self.start_scale = scale.max().item()
-        self.per_group = torch.stack([self.weight.sum() * (self.groups == g).sum() for g in range(int(self.groups.max()) + 1)])
+        self.per_group = torch.stack(
+            [self.weight.sum() * (self.groups == g).sum() for g in range(int(self.groups.max()) + 1)]
+        )
         self.log_noise0 = torch.stack(
             [(self.sigma0[self.groups == g] ** 2).mean().sqrt().log() for g in range(int(self.groups.max()) + 1)]
         )

@@ -115,9 +115,10 @@ def advise(options: Simulate, simulator: Simulator) -> None:
     """Say in one line when springs are too stiff for the step, so that fast motion is damped (`kernels.stability`)."""
     held = simulator.implicit_worlds()
     if held:
+        step = simulator.dt / simulator.substeps
         warn(
-            f"{options.source}: the step of {simulator.dt / simulator.substeps:.2g} s does not resolve the stiffest springs of "
-            f"{_count(held, 'world')}: fast motion is damped, the equilibrium is not changed; --substeps resolves more"
+            f"{options.source}: {_count(held, 'world')}: a step of {step:.2g} s does not resolve the stiffest springs; "
+            "their fast motion is damped, the equilibrium stays; --substeps resolves more"
         )
 
 

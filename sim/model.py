@@ -178,7 +178,9 @@ class Model:
             k += n
             length = np.linalg.norm(out[i])
             if n == 4 and not 1e-9 < length < np.inf:
-                raise InputError(tree.name, f"qpos[{k - 4}:{k}] (link {tree.link_name[i]})", f"{out[i]}", "a quaternion")
+                raise InputError(
+                    tree.name, f"qpos[{k - 4}:{k}] (link {tree.link_name[i]})", f"{out[i]}", "a quaternion"
+                )
             out[i] = out[i] / length if n == 4 else out[i]
         return out
 
@@ -202,4 +204,6 @@ def check_movable(tree: Tree) -> None:
         if tree.parent[i] >= 0:
             carried[tree.parent[i]] += carried[i]
         if carried[i] <= 0 and tree.joint[i] != Joint.FIXED and tree.armature[i] <= 0:
-            raise InputError(tree.name, f"link {tree.link_name[i]}", "a joint that carries no mass", "a mass above zero")
+            raise InputError(
+                tree.name, f"link {tree.link_name[i]}", "a joint that carries no mass", "a mass above zero"
+            )

@@ -141,7 +141,8 @@ class Simulator:
         after = [self.dt / self.substeps, self.MARGIN, self._damping.kernel, self._limit.kernel]
         self._rest = State(self.model)
         return [
-            self._launcher.prepare(kernel, [self.model.kernel, state.kernel], after) for state in (self._rest, self.state)
+            self._launcher.prepare(kernel, [self.model.kernel, state.kernel], after)
+            for state in (self._rest, self.state)
         ]
 
     def implicit_worlds(self) -> int:

@@ -1,9 +1,8 @@
 """Priors against their formulas."""
 
 import torch
-from scipy import stats
-
 from bough.learn.prior import Blocks, Normal, SmoothBox
+from scipy import stats
 
 LOW, HIGH = torch.tensor([0.0, 1.0], dtype=torch.float64), torch.tensor([2.0, 3.0], dtype=torch.float64)
 

@@ -4,7 +4,6 @@ import math
 
 import pytest
 import torch
-
 from bough.learn.svgd import coordinate_direction, joint_direction, svgd
 
 
@@ -19,10 +18,7 @@ def normal_density(mean, covariance):
 
 
 def run(density, particles, kernel, iterations=200):
-    last = None
-    for last in svgd(density, particles, iterations=iterations, kernel=kernel):
-        pass
-    return last.particles
+    return list(svgd(density, particles, iterations=iterations, kernel=kernel))[-1].particles
 
 
 @pytest.mark.parametrize("direction", [joint_direction, coordinate_direction])

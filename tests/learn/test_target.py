@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 import torch
-from oracles.oscillator import decay, write_case
-
 from bough.learn.case import load_case
 from bough.learn.fit import find_modes
 from bough.learn.posterior import initial_vectors
 from bough.learn.rollout import Rollout, recordings
 from bough.learn.target import Target
+from oracles.oscillator import decay, write_case
 
 K, D, J = 80.0, 1.5, 2.0
 RUNS = [(0.5, 0.0), (-0.2, 1.0)]
@@ -80,7 +79,7 @@ def test_gradient_agrees_with_float64_reference(case):
 
 
 def test_noise_gradient_by_hand(case):
-    """d log p / d log s = sum r^2 / s^2 - N, plus the prior's zero at its centre."""
+    """D log p / d log s = sum r^2 / s^2 - N, plus the prior's zero at its centre."""
     target = Target(case, recordings(case), torch.tensor([0.05]))
     start = torch.tensor(RUNS, dtype=torch.float64).flatten()
     theta = torch.cat([torch.log(torch.tensor([K * 1.2, D])).double(), start, target.log_noise0])[None]

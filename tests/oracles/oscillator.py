@@ -15,7 +15,9 @@ def decay(t, inertia, stiffness, damping, q0, v0):
     return e * (q0 * c + b * s), e * ((b * w - a * q0) * c - (q0 * w + a * b) * s)
 
 
-def write_case(folder: Path, runs, *, noise=0.0, seed=0, dt=0.005, duration=3.0, inertia=2.0, stiffness=80.0, damping=1.5):
+def write_case(
+    folder: Path, runs, *, noise=0.0, seed=0, dt=0.005, duration=3.0, inertia=2.0, stiffness=80.0, damping=1.5
+):
     """Write a joint-gap-case of free decays, one a (q0, v0) pair; stiffness and damping are unknown in it."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)
