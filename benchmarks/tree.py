@@ -14,6 +14,7 @@ Exits with 1 if a run is invalid or a ratio misses its bound.
 from __future__ import annotations
 
 import argparse
+import os
 import statistics
 import sys
 import time
@@ -292,7 +293,8 @@ def thread_table(trees: list[Tree], options: argparse.Namespace) -> float | None
     print(f"\nTwo threads, {trees[0].num_links} links, {len(trees)} worlds, wall clock")
     for r in (one, two):
         print(f"  {r.row.engine:32s} {r.median / 1e3:10.1f} k  {min(r.speed) / 1e3:.1f} - {max(r.speed) / 1e3:.1f}")
-    print(f"  gain {statistics.median(gain):.2f}, {min(gain):.2f} - {max(gain):.2f}")
+    load = os.getloadavg()[0]  # above one, someone else has used the second core
+    print(f"  gain {statistics.median(gain):.2f}, {min(gain):.2f} - {max(gain):.2f}; load average {load:.1f}")
     return statistics.median(gain)
 
 
@@ -355,7 +357,7 @@ def main() -> int:
     options = parser.parse_args()
     quick = options.quick
     options.worlds, options.rounds, options.seconds = (128, 5, 0.1) if quick else (512, 9, 0.3)
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_WARNING
     look = host.describe()
     print(f"{look['cpu']}, {look['cores']} cores, {host.simd_width()} lanes; Warp {wp.__version__}, "
           f"MuJoCo {mujoco_tree.mujoco.__version__}; medians of {options.rounds} interleaved rounds")  # fmt: skip

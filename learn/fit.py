@@ -55,8 +55,8 @@ def levenberg_marquardt(
     """
     free = target.num_parameters + target.num_starts
     weight = _weights(target, horizon)
-    damping = torch.full((len(theta),), 1e-2, dtype=torch.float64)
-    best, best_cost = theta.clone(), torch.full((len(theta),), torch.inf, dtype=torch.float64)
+    damping = torch.full_like(theta[:, 0], 1e-2)
+    best, best_cost = theta.clone(), torch.full_like(damping, torch.inf)
     trial = theta.clone()
     step_from: tuple[torch.Tensor, torch.Tensor] | None = None
     for _ in range(iterations):
@@ -138,10 +138,10 @@ def precision_at(target: Target, theta: torch.Tensor) -> torch.Tensor:
     noise = target.split(theta)[2] if target.num_noise else target.log_noise0.expand(len(theta), -1)
     sigma = noise.exp()[:, target.groups]
     rows = (jacobian_rows(target, derivative) * (target.weight / sigma[:, None, None])[..., None]).flatten(1, 3)
-    full = torch.zeros(len(theta), target.num_dims, target.num_dims, dtype=torch.float64)
+    full = theta.new_zeros(len(theta), target.num_dims, target.num_dims)
     free = target.num_parameters + target.num_starts
     full[:, :free, :free] = rows.transpose(1, 2) @ rows
     for g in range(target.num_noise):
         full[:, free + g, free + g] = 2.0 * target.per_group[g]
     # a floor of one e-fold on what the data do not determine, so that no particle is thrown across decades
-    return full + torch.eye(target.num_dims, dtype=torch.float64)
+    return full + torch.eye(target.num_dims, dtype=torch.float64, device=theta.device)

@@ -106,10 +106,14 @@ def split(case: BranchCase | JointCase) -> tuple[list[int], list[int]]:
 
 
 def pooled_sigma(case: BranchCase | JointCase, noise: NoiseEstimate) -> Array:
-    """Return the noise of the channels that are predicted; the three axes of a branch share one value a kind."""
+    """Return the noise of the channels that are predicted.
+
+    The axes of a branch share one value a kind; across the plane of a planar case it is zero.
+    """
     if isinstance(case, BranchCase):
-        pooled = [np.sqrt(np.mean(v**2)) for v in (noise.displacement, noise.velocity)]
-        return np.repeat(pooled, 3)
+        axes = np.array([1.0, 0.0 if case.planar else 1.0, 1.0])
+        pooled = [np.sqrt(np.sum(axes * v**2) / axes.sum()) for v in (noise.displacement, noise.velocity)]
+        return np.concatenate([axes * s for s in pooled])
     return noise.sigma
 
 
@@ -278,9 +282,8 @@ def content(outcome: Outcome) -> ReportContent:
 def _figures(outcome: Outcome, scale: float, unit: str) -> list[ReportFigure]:
     case, p = outcome.case, outcome.prediction
     main = list(main_channels(case))
-    labels = [f"{a} [{unit}]" for a in ("x", "y", "z")] if isinstance(case, BranchCase) else [
-        f"{case.outputs[c].joint} [{unit}]" for c in main
-    ]  # fmt: skip
+    shown = ["xyz"[c] if isinstance(case, BranchCase) else case.outputs[c].joint for c in main]
+    labels = [f"{name} [{unit}]" for name in shown]
     titles = [f"{case.trajectories[j].file}" for j in outcome.test]
     scaled = {k: [scale * a[:, main] for a in getattr(p, k)] for k in ("measured", "median", "low", "high", "residual")}
     names = [f"{n} [{u}]" for n, u in zip(outcome.posterior.names, outcome.posterior.units, strict=True)]

@@ -65,7 +65,8 @@ def initial_vectors(target: Target, count: int, generator: torch.Generator) -> t
     together = torch.randn(count, 1, generator=generator, dtype=torch.float64) * ((high - low) / 8.0).clamp(max=1.5)
     scatter = torch.where(torch.arange(count)[:, None] % 2 == 0, together, scatter)
     scatter[0] = 0.0
-    rows = [torch.maximum(torch.minimum(typical + scatter, high), low), target.start0.flatten().expand(count, -1)]
+    logs = torch.maximum(torch.minimum(typical + scatter, high), low).to(target.place)
+    rows = [logs, target.start0.flatten().expand(count, -1)]
     if target.num_noise:
         rows.append(target.log_noise0.expand(count, -1))
     return torch.cat(rows, 1)
@@ -101,9 +102,9 @@ def infer(
     def density(z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         theta = centre + torch.linalg.solve_triangular(whitener.T, z.T, upper=True).T
         e = target.evaluate(theta)
-        trace_p.append(e.log_posterior.numpy())
+        trace_p.append(e.log_posterior.cpu().numpy())
         squares = (target.residual(e.prediction)[..., target.groups == 0] ** 2).sum((-1, -2, -3))
-        trace_m.append((squares / target.per_group[0]).sqrt().numpy())
+        trace_m.append((squares / target.per_group[0]).sqrt().cpu().numpy())
         return e.log_posterior, torch.linalg.solve_triangular(whitener, e.gradient.T, upper=False).T
 
     z = (x - centre) @ whitener
@@ -121,8 +122,8 @@ def infer(
 def _spread(modes: Modes, whitener: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:
     """Place particles about the modes in proportion to their posterior, a little wider than they will end."""
     share = torch.softmax(modes.log_posterior, 0)
-    chosen = torch.multinomial(share, count, replacement=True, generator=generator)
-    z = torch.randn(count, whitener.shape[0], generator=generator, dtype=torch.float64) * 1.2
+    chosen = torch.multinomial(share.cpu(), count, replacement=True, generator=generator)
+    z = torch.randn(count, whitener.shape[0], generator=generator, dtype=torch.float64).to(whitener.device) * 1.2
     return modes.theta[chosen] + torch.linalg.solve_triangular(whitener.T, z.T, upper=True).T
 
 
@@ -135,9 +136,9 @@ def _posterior(
     return Posterior(
         names=tuple(p.name for p in target.plant.parameters),
         units=tuple(p.unit for p in target.plant.parameters),
-        particles=u.exp().numpy(),
+        particles=u.exp().cpu().numpy(),
         theta=theta,
-        noise=sigma[:, target.groups].numpy(),
+        noise=sigma[:, target.groups].cpu().numpy(),
         log_posterior=trace_p[-1],
         trace_log_posterior=trace_p,
         trace_misfit=trace_m,

@@ -80,7 +80,7 @@ def predict(
     """
     target = Target(case, recordings, sigma, device=device)
     theta = _with_starts(case, posterior, recordings, sigma, target, device)
-    simulated = target.predict(theta).numpy()
+    simulated = target.predict(theta).cpu().numpy()
     rng = np.random.default_rng(seed)
     low, median, high, measured = [], [], [], []
     for j, recording in enumerate(recordings):
@@ -100,7 +100,7 @@ def predict(
 def main_channels(case: BranchCase | JointCase) -> tuple[int, ...]:
     """Displacement of a branch; of joints, the channels of the first output's quantity."""
     if isinstance(case, BranchCase):
-        return (0, 1, 2)
+        return (0, 2) if case.planar else (0, 1, 2)
     return tuple(i for i, o in enumerate(case.outputs) if o.quantity == case.outputs[0].quantity)
 
 
@@ -109,7 +109,7 @@ def _with_starts(
     target: Target, device: object,
 ) -> torch.Tensor:  # fmt: skip
     """Return the target's vectors [P, D] with parameters from the posterior and start states fitted to the window."""
-    shared = torch.as_tensor(np.log(posterior.particles))
+    shared = torch.as_tensor(np.log(posterior.particles), device=target.place)
     count = len(shared)
     rows = [shared, target.start0.flatten().expand(count, -1), target.log_noise0.expand(count, -1)]
     theta = torch.cat(rows, 1)

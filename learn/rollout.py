@@ -78,6 +78,7 @@ class Rollout:
     Attributes:
         num_sets: Sets S that a call takes.
         num_locals: Numbers of a start state per recording (two a joint; none for a branch at rest).
+        torch_device: Where parameters are taken and channels returned.
         world_steps: World-steps taken so far.
     """
 
@@ -95,6 +96,7 @@ class Rollout:
         self.substeps = max(1, int(np.ceil(case.dt / self.plant.substep - 1e-9)))
         self.simulator = Simulator(self.model, dt=case.dt, substeps=self.substeps)
         self._samples = np.array([len(r.t) for r in chosen])
+        self.torch_device = self.simulator.position.device
         self.world_steps = 0
         self._prepare()
 

@@ -44,7 +44,7 @@ class Target:
     """
 
     SPACING = 0.01
-    LOG_NOISE_SIGMA = 1.0
+    LOG_NOISE_SIGMA = 5.0
 
     def __init__(
         self,
@@ -65,10 +65,12 @@ class Target:
         )
         self._rollouts: dict[int, Rollout] = {}
         self.plant = self.rollout(1).plant
-        self.sigma0 = sigma.double()
-        self.groups = torch.tensor([0, 0, 0, 1, 1, 1]) if isinstance(case, BranchCase) else torch.arange(len(sigma))
+        self.place = self.rollout(1).torch_device
+        self.sigma0 = sigma.double().to(self.place)
+        groups = torch.tensor([0, 0, 0, 1, 1, 1]) if isinstance(case, BranchCase) else torch.arange(len(sigma))
+        self.groups = groups.to(self.place)
         self.num_parameters = len(self.plant.parameters)
-        self.start0 = torch.stack([torch.as_tensor(r.start) for r in chosen])
+        self.start0 = torch.stack([torch.as_tensor(r.start) for r in chosen]).to(self.place)
         self.num_starts = self.start0.numel()
         self.num_noise = int(self.groups.max()) + 1 if loss == "gaussian" else 0
         self.num_dims = self.num_parameters + self.num_starts + self.num_noise
@@ -78,32 +80,33 @@ class Target:
     def _stack_outputs(self) -> None:
         longest = max(len(r.t) for r in self.recordings)
         channels = self.recordings[0].output.shape[1]
-        self.measured = torch.zeros(len(self.recordings), longest, channels, dtype=torch.float64)
-        self.weight = torch.zeros(len(self.recordings), longest, 1, dtype=torch.float64)
+        active = self.sigma0 > 0.0  # a planar case has no motion and no noise across its plane
+        self.measured = torch.zeros(len(self.recordings), longest, channels, dtype=torch.float64, device=self.place)
+        self.weight = torch.zeros_like(self.measured)
         for j, r in enumerate(self.recordings):
-            self.measured[j, : len(r.t)] = torch.as_tensor(r.output)
-            self.weight[j, : len(r.t)] = 1.0
+            self.measured[j, : len(r.t)] = torch.as_tensor(r.output, device=self.place)
+            self.weight[j, : len(r.t)] = active.double()
         scale = self.measured.abs().amax((0, 1)).clamp(min=1e-9)
         self.start_scale = scale.max().item()
-        self.per_group = torch.stack(
-            [self.weight.sum() * (self.groups == g).sum() for g in range(int(self.groups.max()) + 1)]
-        )
+        groups = range(int(self.groups.max()) + 1)
+        self.per_group = torch.stack([self.weight[..., self.groups == g].sum() for g in groups])
         self.log_noise0 = torch.stack(
-            [(self.sigma0[self.groups == g] ** 2).mean().sqrt().log() for g in range(int(self.groups.max()) + 1)]
+            [(self.sigma0[(self.groups == g) & active] ** 2).mean().sqrt().log() for g in groups]
         )
+        self.sigma0 = torch.where(active, self.sigma0, 1.0)  # divided by, with weight zero
 
     def _prior(self) -> Prior:
         low, high = box_of(self.plant.parameters)
-        wide = torch.full((self.num_starts,), 10.0 * max(self.start_scale, 1.0), dtype=torch.float64)
+        wide = torch.full_like(self.start0.flatten(), 10.0 * max(self.start_scale, 1.0))
         parts: list[tuple[int, Prior]] = [
             (self.num_parameters, SmoothBox(low, high)),
             (self.num_starts, Normal(self.start0.flatten(), wide)),
         ]
         if self.num_noise:
             # a misfit far above the measured noise must be able to raise it: a wide log-normal
-            spread = torch.full((self.num_noise,), self.LOG_NOISE_SIGMA * 5.0, dtype=torch.float64)
+            spread = torch.full_like(self.log_noise0, self.LOG_NOISE_SIGMA)
             parts.append((self.num_noise, Normal(self.log_noise0, spread)))
-        return Blocks(parts)
+        return Blocks(parts).to(self.place)
 
     def rollout(self, num_sets: int) -> Rollout:
         """Return the rollout for a number of sets, built once."""
@@ -134,10 +137,10 @@ class Target:
         """
         u, start, _ = self.split(theta)
         n, local = self.num_parameters, self.start0[0].numel()
-        steps = torch.full((n + local,), self.SPACING, dtype=torch.float64)
+        steps = torch.full((n + local,), self.SPACING, dtype=torch.float64, device=self.place)
         steps[n:] *= self.start_scale
         offsets = torch.diag(steps)
-        offsets = torch.cat([torch.zeros(1, n + local, dtype=torch.float64), offsets, -offsets])
+        offsets = torch.cat([torch.zeros_like(offsets[:1]), offsets, -offsets])
         us = u[:, None] + offsets[:, :n]
         starts = start[:, None] + offsets[:, n:].reshape(len(offsets), 1, *self.start0.shape[1:])
         flat = self.rollout(len(theta) * len(offsets))(us.flatten(0, 1).exp(), starts.flatten(0, 1) if local else None)

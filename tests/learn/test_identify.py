@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from bough.learn.case import load_case
 from bough.learn.identify import Settings, identify, run, split
+from bough.learn.rollout import recordings
+from bough.learn.target import Target
 from bough.sim.errors import InputError
 from oracles.branch_case import make_branch_case
 from oracles.oscillator import write_case
@@ -101,3 +103,38 @@ def test_settings_that_cannot_be(branch, settings):
     """Name the option, what was found and what is allowed."""
     with pytest.raises(InputError, match="or more"):
         run(load_case(branch[0]), settings)
+
+
+def test_planar_case_is_judged_in_its_plane(branch, tmp_path):
+    """Leave the axis without motion out of noise, scores and band when a case is planar."""
+    folder = tmp_path / "planar"
+    make_planar(branch[0], folder)
+    meta = yaml.safe_load((folder / "meta.yaml").read_text())
+    assert meta["planar"]
+    outcome = run(load_case(folder), Settings(particles=8, iterations=10))
+    assert outcome.prediction.main == (0, 2)
+    floor = np.sqrt(np.mean(outcome.noise.displacement[[0, 2]] ** 2))
+    assert np.isclose(outcome.noise_floor, floor)
+    every = recordings(load_case(folder))
+    target = Target(load_case(folder), every, torch.as_tensor(outcome.sigma))
+    assert target.per_group[0] == 2 * sum(len(r.t) for r in every)
+    other = target.measured[None].clone()
+    other[..., [1, 4]] += 1.0
+    assert target.residual(other).abs().max() == 0.0
+
+
+def make_planar(source, folder):
+    """Copy a case with everything turned into the x-z plane and its y columns zeroed."""
+    folder.mkdir()
+    meta = yaml.safe_load((source / "meta.yaml").read_text())
+    meta["planar"] = True
+    for segment in meta["segments"]:
+        segment["azimuth_deg"] = 0.0
+    for trajectory in meta["trajectories"]:
+        rows = np.loadtxt(source / trajectory["file"], delimiter=",", skiprows=1)
+        rows[:, [2, 5, 8]] = 0.0
+        header = "t_s,fx_N,fy_N,fz_N,x_m,y_m,z_m,vx_mps,vy_mps,vz_mps"
+        text = "\n".join(",".join(f"{v:.7g}" for v in row) for row in rows)
+        (folder / trajectory["file"]).write_text(f"{header}\n{text}\n")
+        trajectory["direction"] = None
+    (folder / "meta.yaml").write_text(yaml.safe_dump(meta))
