@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+import yaml
 from bough.learn.case import load_case
 from bough.learn.identify import Settings, identify, run, split
 from bough.learn.rollout import recordings
