@@ -80,6 +80,7 @@ def place_root(e: int, row: int, m: Any, s: Any):
     s.accel0[row, 0] = type(like)(real(m.lift[0], o), real(m.lift[1], o), real(m.lift[2], o))
     s.alpha[row, 0] = zero
     s.accel[row, 0] = zero
+    s.calm[row, 0] = real(1.0, o)
 
 
 @wp.func(inline=True)
@@ -402,15 +403,16 @@ def advance_links(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64, bound
             s.alpha[row, i] = alpha + qdd
             s.accel[row, i] = accel
             new = add_scaled(v, unrotate(s.pose[row, i], qdd), dt)
-            new = new * guarded(e, i, m, x, dot(new, new), bound)
+            turn = dt * guarded(e, row, i, m, x, s, dot(new, new), bound)
             keep = x.alive[e]
             q = x.coordinate[e, i]
-            commit_spherical(e, i, x, keep, q, renormalised(q * exponential(new * dt, q)), v, new)
+            commit_spherical(e, i, x, keep, q, renormalised(q * exponential(new * turn, q)), v, new)
         elif kind == FIXED:
             s.alpha[row, i] = alpha
             s.accel[row, i] = accel
         else:
             advance_scalar(e, row, i, kind, m, x, s, alpha, accel, v, h, bound)
+    calm_down(e, row, m, x, s)
 
 
 @wp.func
@@ -431,9 +433,9 @@ def advance_scalar(
         s.accel[row, i] = add_scaled(accel, U.z, qdd)
     new = fma(qdd, dt, v.x)
     q = x.coordinate[e, i]
-    new = new * guarded(e, i, m, x, new * new, bound)
+    turn = dt * guarded(e, row, i, m, x, s, new * new, bound)
     keep = x.alive[e]
-    x.coordinate[e, i] = type(q)(q.w, where_neg(keep, q.x, fma(new, dt, q.x)), q.y, q.z)
+    x.coordinate[e, i] = type(q)(q.w, where_neg(keep, q.x, fma(new, turn, q.x)), q.y, q.z)
     x.velocity[e, i] = type(v)(where_neg(keep, v.x, new), v.y, v.z)
 
 
@@ -450,11 +452,13 @@ def commit_spherical(e: int, i: int, x: Any, keep: Any, q: Any, new_q: Any, v: A
 
 
 @wp.func(inline=True)
-def guarded(e: int, i: int, m: Any, x: Any, speed2: Any, bound: wp.float64):
-    """Return the factor that a joint's new velocity is scaled by: 1, unless its squared speed leaves the limit.
+def guarded(e: int, row: int, i: int, m: Any, x: Any, s: Any, speed2: Any, bound: wp.float64):
+    """Return the share of its turn that a joint takes this step: 1, unless its squared speed leaves the limit.
 
-    A joint whose spring is implicit moves faster than the step resolves; it is slowed to ``limit``, which takes energy
-    out and leaves every equilibrium where it is. A world that leaves ``bound``, or the finite, is frozen.
+    In a world with implicit springs a joint may move faster than the step resolves. It then turns by ``limit`` only, and
+    all velocities of the world are scaled down together (`calm_down`): kinetic energy is a quadratic form, so one factor
+    for all takes energy out, and every equilibrium stays where it is. A world that leaves ``bound``, or the finite, is
+    frozen.
     """
     one = real(1.0, speed2)
     minus = real(-1.0, speed2)
@@ -465,7 +469,23 @@ def guarded(e: int, i: int, m: Any, x: Any, speed2: Any, bound: wp.float64):
     scale = one
     if any_neg(verdict):
         scale = slowed(e, i, x, speed2, limit, verdict, bound)
+        calm = s.calm[row, 0]
+        s.calm[row, 0] = where_neg(scale - calm, scale, calm)
     return scale
+
+
+@wp.func
+def calm_down(e: int, row: int, m: Any, x: Any, s: Any):
+    """Scale all velocities of a world by the factor of its fastest joint, if any left its limit."""
+    calm = s.calm[row, 0]
+    if any_neg(calm - real(1.0, calm)):
+        alive = x.alive[e]
+        for i in range(1, m.count[e] + 1):
+            v = x.velocity[e, i]
+            w = v * calm
+            x.velocity[e, i] = type(v)(
+                where_neg(alive, v.x, w.x), where_neg(alive, v.y, w.y), where_neg(alive, v.z, w.z)
+            )
 
 
 #: A slowed joint may ask for any finite speed; squares beyond this leave float32.

@@ -78,6 +78,7 @@ def layout_of(width: int = 1, precision: int = 32) -> SimpleNamespace:
         accel0: wp.array2d(dtype=Vec)
         alpha: wp.array2d(dtype=Vec)
         accel: wp.array2d(dtype=Vec)
+        calm: wp.array2d(dtype=Real)
 
     return SimpleNamespace(**vars(t), Model=Model, State=State, Load=Load, Scratch=Scratch, width=width,
                            precision=precision)  # fmt: skip

@@ -18,6 +18,7 @@ from .model import Model
 _SCRATCH = {
     "pose": "Quat", "r": "Vec", "relative": "Vec", "spin": "Vec", "alpha0": "Vec", "accel0": "Vec", "A": "Sym",
     "B": "Mat", "M": "Sym", "n": "Vec", "f": "Vec", "D": "Sym", "U": "Mat", "u": "Vec", "alpha": "Vec", "accel": "Vec",
+    "calm": "Real",
 }  # fmt: skip
 
 #: Bytes left free between the scratch rows of two CPU threads. Rows side by side, two threads ran 1.05 times as fast as
@@ -59,8 +60,8 @@ class Launcher:
 
     @staticmethod
     def _row_bytes(model: Model) -> int:
-        """Bytes of the smallest field's row: three reals a place."""
-        return 3 * (model.places + 1) * model.width * model.precision // 8
+        """Bytes of the smallest field's row: one real a place."""
+        return (model.places + 1) * model.width * model.precision // 8
 
     def _field(self, kind: str) -> LaneArray:
         m = self.model

@@ -110,10 +110,9 @@ def weakly_damped() -> tuple[list[Tree], list[np.ndarray]]:
 
 @pytest.mark.parametrize(("width", "precision"), [(1, 64), (8, 32)])
 def test_bounded_where_mujoco_blows_up(width, precision):
-    """Step for 10 s at 1/240 s what MuJoCo cannot: no world freezes, and every one ends with less energy.
+    """Step for 10 s at 1/240 s what MuJoCo cannot: no world freezes, and none ever holds more energy than at the start.
 
-    In between a joint that is slowed down hands its motion to what it carries: energy of up to twice the start's has
-    been seen, so four times is the bound.
+    A hundredth of the moving energy is allowed for the integrator's own ripple.
     """
     trees, starts = weakly_damped()
     assert sum(trajectory(t, q, DT, 240) is None for t, q in zip(trees, starts, strict=True)) >= 6
@@ -123,8 +122,7 @@ def test_bounded_where_mujoco_blows_up(width, precision):
     first = simulator.energy()[0]
     for _ in range(100):
         simulator.step(24)
-        assert (simulator.energy()[0].sum(axis=1) < 4 * np.abs(first).sum(axis=1)).all()
-    assert (simulator.energy()[0].sum(axis=1) < first.sum(axis=1)).all()
+        assert (simulator.energy()[0].sum(axis=1) < first.sum(axis=1) + 0.01 * np.abs(first).sum(axis=1)).all()
     assert simulator.state.faults() == []
 
 
