@@ -455,10 +455,10 @@ def commit_spherical(e: int, i: int, x: Any, keep: Any, q: Any, new_q: Any, v: A
 def guarded(e: int, row: int, i: int, m: Any, x: Any, s: Any, speed2: Any, bound: wp.float64):
     """Return the share of its turn that a joint takes this step: 1, unless its squared speed leaves the limit.
 
-    In a world with implicit springs a joint may move faster than the step resolves. It then turns by ``limit`` only, and
-    all velocities of the world are scaled down together (`calm_down`): kinetic energy is a quadratic form, so one factor
-    for all takes energy out, and every equilibrium stays where it is. A world that leaves ``bound``, or the finite, is
-    frozen.
+    In a world with implicit springs a joint may move faster than the step resolves. It then turns by ``limit`` only,
+    and all velocities of the world are scaled down together (`calm_down`): kinetic energy is a quadratic form, so one
+    factor for all takes energy out, and every equilibrium stays where it is. A world that leaves ``bound``, or the
+    finite, is frozen.
     """
     one = real(1.0, speed2)
     minus = real(-1.0, speed2)
