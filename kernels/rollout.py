@@ -7,7 +7,7 @@ from typing import Any
 import warp as wp
 
 from .algebra import add, add_cross, rotate
-from .articulated import advance_loaded, place_links, place_root
+from .articulated import advance_loaded
 from .layout import layout_of
 from .observe import locate_links
 from .real import SOURCE, mul, real, sub
@@ -62,9 +62,7 @@ def rollout_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
         j = trajectory[e]
         n = length[j]
         for k in range(n):
-            place_root(e, r, m, s_out)
-            place_links(e, r, m, x_in_out, s_out)
-            locate_links(e, r, m, s_out)
+            locate_links(e, r, m, x_in_out, s_out)
             arm = rotate(s_out.pose[r, place], u_out.point[e, place])
             p = s_out.accel[r, place] + arm
             v = add_cross(s_out.alpha[r, place], s_out.spin[r, place], arm)

@@ -49,14 +49,19 @@ class LaneArray:
         shape = (places, groups) if self._link_major else (groups, places)
         self._memory = wp.zeros((*shape, self.components, width), dtype=scalar, device=self.device)
         struct = getattr(layout_of(width, precision), kind)
-        view: wp.array = wp.array(ptr=self._memory.ptr, shape=shape, dtype=struct, device=self.device)
-        self.kernel = view.transpose() if self._link_major else view
+        view: Any = wp.array(ptr=self._memory.ptr, shape=shape, dtype=struct, device=self.device)
+        self.kernel: Any = view.transpose() if self._link_major else view
+        self.kernel._memory = self._memory  # a view by pointer does not keep what it points to
         seen = wp.to_torch(self._memory)
         self.torch: torch.Tensor = seen.permute(1, 3, 0, 2) if self._link_major else seen.permute(0, 3, 1, 2)
 
     def column(self) -> wp.array:
         """Return the kernel view [groups] of an array of one place."""
-        return wp.array(ptr=self._memory.ptr, shape=self.kernel.shape[0], dtype=self.kernel.dtype, device=self.device)
+        view: Any = wp.array(
+            ptr=self._memory.ptr, shape=self.kernel.shape[0], dtype=self.kernel.dtype, device=self.device
+        )
+        view._memory = self._memory
+        return view
 
     def entries(self) -> wp.array:
         """Return the view [groups, places, components, lanes] of the scalars themselves."""

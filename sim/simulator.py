@@ -10,7 +10,7 @@ import torch
 import warp as wp
 
 from ..kernels.layout import layout_of
-from ..kernels.observe import observe_kernels
+from ..kernels.observe import energy_kernel, pose_kernel, probe_kernel
 from ..kernels.reset import reset_kernels
 from ..kernels.stability import damping_kernel
 from ..kernels.step import step_kernels
@@ -69,7 +69,6 @@ class Simulator:
         self.max_speed = math.pi * substeps / dt if max_speed is None else float(max_speed)
         self._launcher = Launcher(model, threads)
         self._kernels = step_kernels(model.width, model.precision)
-        self._looks = observe_kernels(model.width, model.precision)
         self._steps: dict[tuple[int, bool], Callable[[], None]] = {}
         self._looking: dict[bool, Callable[[], None]] = {}
         self._load: Load | None = None
@@ -174,7 +173,11 @@ class Simulator:
         with wp.ScopedCapture(device=self.model.device) as scope:
             step()
             look()
-        return lambda: wp.capture_launch(scope.graph)
+
+        def replay(_owner: Simulator = self) -> None:  # the graph works on this simulator's memory
+            wp.capture_launch(scope.graph)
+
+        return replay
 
     @property
     def load(self) -> Load:
@@ -216,7 +219,9 @@ class Simulator:
     def _prepare_look(self, *, split: bool) -> Callable[[], None]:
         anchor, frame = self._bodies
         before = [self.model.kernel, self.state.kernel, anchor.kernel, frame.kernel, self._slot_world, self._slot_link]
-        return self._launcher.prepare(self._looks.poses, before, [self._position, self._rotation], split=split)
+        return self._launcher.prepare(
+            pose_kernel(self.model.width, self.model.precision), before, [self._position, self._rotation], split=split
+        )
 
     def energy(self) -> tuple[Array, Array]:
         """Return energies [worlds, 3] (kinetic, gravitational, springs) [J] and momenta [worlds, 2, 3].
@@ -224,7 +229,9 @@ class Simulator:
         Momenta are linear [kg m/s] and angular about the origin [kg m^2/s]. Pre-loads have no energy here.
         """
         before = [self.model.kernel, self.state.kernel, self._slot_world]
-        self._launcher.prepare(self._looks.energy, before, [self._energy, self._momentum])()
+        self._launcher.prepare(
+            energy_kernel(self.model.width, self.model.precision), before, [self._energy, self._momentum]
+        )()
         return self._energy.numpy().astype(np.float64), self._momentum.numpy().astype(np.float64)
 
     def probes(self, points: Sequence[Sequence[tuple[int, Array]]]) -> Probes:
@@ -261,7 +268,9 @@ class Probes:
         self.position: torch.Tensor = wp.to_torch(self._position)
         self.velocity: torch.Tensor = wp.to_torch(self._velocity)
         before = [m.kernel, simulator.state.kernel, self._place, self._local.kernel, simulator._slot_world]
-        self._read = simulator._launcher.prepare(simulator._looks.probes, before, [self._position, self._velocity])
+        self._read = simulator._launcher.prepare(
+            probe_kernel(m.width, m.precision), before, [self._position, self._velocity]
+        )
 
     def read(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Write and return `position` and `velocity`."""

@@ -4,7 +4,7 @@ import re
 
 import pytest
 import warp as wp
-from bough.kernels.observe import observe_kernels
+from bough.kernels.observe import energy_kernel, pose_kernel, probe_kernel
 from bough.kernels.reset import reset_kernels
 from bough.kernels.stability import damping_kernel
 from bough.kernels.step import step_kernels
@@ -13,9 +13,9 @@ KERNELS = {
     "step": lambda precision: step_kernels(1, precision).step,
     "step_loaded": lambda precision: step_kernels(1, precision).step_loaded,
     "damping": lambda precision: damping_kernel(1, precision),
-    "poses": lambda precision: observe_kernels(1, precision).poses,
-    "probes": lambda precision: observe_kernels(1, precision).probes,
-    "energy": lambda precision: observe_kernels(1, precision).energy,
+    "poses": lambda precision: pose_kernel(1, precision),
+    "probes": lambda precision: probe_kernel(1, precision),
+    "energy": lambda precision: energy_kernel(1, precision),
     "restore": lambda precision: reset_kernels(precision).restore,
     "revive": lambda precision: reset_kernels(precision).revive,
 }
