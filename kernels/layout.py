@@ -29,6 +29,7 @@ def layout_of(width: int = 1, precision: int = 32) -> SimpleNamespace:
         count: wp.array(dtype=int)
         parent: wp.array2d(dtype=int)
         kind: wp.array2d(dtype=int)
+        free: wp.array(dtype=int)
         inner: wp.array2d(dtype=int)
         first: wp.array2d(dtype=int)
         offset: wp.array2d(dtype=Vec)

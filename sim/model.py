@@ -35,6 +35,7 @@ class Model:
         arrays: The fields of `kernels.layout` Model as `LaneArray`, by name.
         kernel: The Warp struct that kernels take.
         links: The host parameters behind the arrays.
+        has_free_trees: Whether any tree is held by nothing, so that its momentum is kept (`kernels.momentum`).
     """
 
     def __init__(
@@ -116,7 +117,9 @@ class Model:
     def _allocate(self) -> None:
         t = layout_of(self.width, self.precision)
         self.kernel = t.Model()
-        self._integers = {"count": self._int(self._layout.count), **self._arrivals()}
+        self.has_free_trees = bool(self._layout.free.any())
+        self._integers = {name: self._int(getattr(self._layout, name)) for name in ("count", "free")}
+        self._integers |= self._arrivals()
         for name in ("parent", "kind"):
             self._integers[name] = self._int(getattr(self._layout, name))
         self.arrays: dict[str, LaneArray] = {}

@@ -68,7 +68,7 @@ class Simulator:
         self.dt, self.substeps = float(dt), int(substeps)
         self.max_speed = math.pi * substeps / dt if max_speed is None else float(max_speed)
         self._launcher = Launcher(model, threads)
-        self._kernels = step_kernels(model.width, model.precision)
+        self._kernels = step_kernels(model.width, model.precision, model.has_free_trees)
         self._steps: dict[tuple[int, bool], Callable[[], None]] = {}
         self._looking: dict[bool, Callable[[], None]] = {}
         self._load: Load | None = None

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .tree import IntArray, Tree
+from . import rotation
+from .tree import IntArray, Joint, Tree
 
 
 @dataclass
@@ -36,6 +37,7 @@ class Layout:
         kind: Kind of joint of each place, shape [groups, places + 1].
         count: Places in use in each group, shape [groups].
         place: Place of every link of every world, one array per world.
+        free: How the trees of each group are held (`freedom`), shape [groups].
     """
 
     world_slot: IntArray
@@ -43,6 +45,7 @@ class Layout:
     kind: IntArray
     count: IntArray
     place: list[IntArray]
+    free: IntArray
 
 
 def ordered(tree: Tree) -> Node:
@@ -127,11 +130,39 @@ def arrange(trees: Sequence[Tree], width: int) -> Layout:
         if signature not in unique:
             unique[signature] = ordered(tree)
     rank = {s: r for r, s in enumerate(sorted(unique, key=lambda s: (_shape_key(unique[s]), s)))}
+    free = np.array([freedom(t) for t in trees])
     order = np.arange(len(trees))
     if width > 1:
-        order = np.argsort([rank[s] for s in signatures], kind="stable")
-    groups = [order[g : g + width] for g in range(0, len(trees), width)]
-    return _fill(trees, signatures, unique, groups, width)
+        order = np.lexsort((order, [rank[s] for s in signatures], free))
+    # trees that nothing holds step differently: they share no thread with others
+    alike = [order[free[order] == f] for f in np.unique(free)] if width > 1 else [order]
+    groups = [part[g : g + width] for part in alike for g in range(0, len(part), width)]
+    layout = _fill(trees, signatures, unique, groups, width)
+    return replace(layout, free=np.array([free[members[0]] for members in groups]))
+
+
+def freedom(tree: Tree) -> int:
+    """Return how a tree is held: 0 by something, 1 on an unsprung ball, 2 on three crossed slides and such a ball.
+
+    The numbers are those of `kernels.momentum`.
+    """
+    roots = np.flatnonzero(tree.parent < 0)
+    loose = (tree.stiffness + tree.damping + tree.armature + np.abs(tree.preload).sum(axis=1)) == 0.0
+    if len(roots) != 1 or not loose[roots[0]]:
+        return 0
+    if tree.joint[roots[0]] == Joint.SPHERICAL:
+        return 1
+    link, chain, pose, axes = int(roots[0]), [], np.array([1.0, 0.0, 0.0, 0.0]), []
+    while len(chain) < 3 and tree.joint[link] == Joint.PRISMATIC and loose[link]:
+        pose = rotation.multiply(pose, tree.rotation[link])
+        axes.append(rotation.rotate(pose, tree.axis[link]))
+        chain.append(link)
+        below = np.flatnonzero(tree.parent == link)
+        if len(below) != 1:
+            return 0
+        link = int(below[0])
+    crossed = len(axes) == 3 and np.allclose(np.array(axes) @ np.array(axes).T, np.eye(3), atol=1e-9)
+    return 2 if crossed and tree.joint[link] == Joint.SPHERICAL and loose[link] else 0
 
 
 def _fill(
@@ -155,7 +186,8 @@ def _fill(
     kinds = np.zeros((len(rows), longest), np.int64)
     for g, (parent, kind) in enumerate(rows):
         parents[g, : len(parent)], kinds[g, : len(kind)] = parent, kind
-    return Layout(slot, parents, kinds, np.array([len(p) - 1 for p, _ in rows]), place)
+    count = np.array([len(p) - 1 for p, _ in rows])
+    return Layout(slot, parents, kinds, count, place, np.zeros_like(count))
 
 
 def _group(key: tuple[bytes, ...], unique: dict[bytes, Node]) -> tuple[list[int], list[int], dict[bytes, IntArray]]:

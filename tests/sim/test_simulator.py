@@ -1,7 +1,7 @@
 """The simulator: accuracy, springs, conservation, and that its memory stays where it is."""
 
 import re
-from itertools import pairwise
+from dataclasses import fields
 
 import mujoco
 import numpy as np
@@ -208,37 +208,98 @@ def test_momentum_of_a_free_tree_is_mujoco_s():
     np.testing.assert_allclose(got, [linear, angular], rtol=0, atol=1e-11 * np.abs(angular).max())
 
 
-def test_forces_inside_a_free_tree_change_no_momentum():
-    """Take the rate of both momenta in one step of h, h/2 and h/4: it goes to zero with h, to round-off.
+def pivoted_tree(seed: int) -> Tree:
+    """Make the same tree on an unsprung ball at its root."""
+    free = free_tree(seed)
+    kept = {
+        f.name: getattr(free, f.name)[3:]
+        for f in fields(free)
+        if f.name not in ("name", "parent") and not f.name.startswith("shape")
+    }
+    return Tree(name="pivoted", parent=np.maximum(free.parent[3:] - 3, -1), **kept).validate()
 
-    A step changes velocities at the old pose and then moves the joints, so that momentum changes by O(h^2) a step;
-    extrapolated to step zero (both orders removed) what remains of 1500 N of joint forces is round-off over h.
+
+@pytest.mark.parametrize(("width", "precision"), [(1, 64), (1, 32), (8, 32)])
+def test_a_free_tree_keeps_its_momentum_to_round_off(width, precision):
+    """Let a floating tree tumble for two seconds: both momenta stay, up to one rounding a step.
+
+    480 steps at machine epsilon, with a factor of fifty for the sums over eight links.
     """
     tree, rng = free_tree(6), np.random.default_rng(7)
-    qpos, qvel = random_qpos(rng, tree, 0.5), rng.normal(0.0, 2.0, tree.num_dofs)
-    h, rate = 1e-6, []
-    for n in (1, 2, 4):
-        before, after = momentum_after(tree, qpos, qvel, h / n, 1)
-        rate.append((after - before) * n / h)
-    first = [2 * b - a for a, b in pairwise(rate)]
-    second = (4 * first[1] - first[0]) / 3
-    assert np.abs(rate[0]).max() > 0.01
-    assert np.abs(second).max() < 1e-6
+    model = Model([tree] * width, precision=precision, width=width, gravity=(0.0, 0.0, 0.0))
+    simulator = Simulator(model, dt=1 / 240)
+    simulator.state.set_qpos([random_qpos(rng, tree, 0.5) for _ in range(width)])
+    simulator.state.set_qvel([rng.normal(0.0, 2.0, tree.num_dofs) for _ in range(width)])
+    simulator.refresh()
+    before = simulator.energy()[1].copy()
+    simulator.step(480)
+    drift = np.linalg.norm(simulator.energy()[1] - before, axis=2) / np.linalg.norm(before, axis=2)
+    assert drift.max() < 50 * 480 * (2.2e-16 if precision == 64 else 1.2e-7)
 
 
-def test_momentum_of_a_free_tree_drifts_with_the_step_only():
-    """Let a free tree tumble for 0.25 s: linear and angular momentum drift in proportion to the step.
+def test_a_pivoted_tree_keeps_its_angular_momentum_to_round_off():
+    """Keep the angular momentum about an unsprung ball at the root, where the pivot's force has no arm."""
+    tree, rng = pivoted_tree(6), np.random.default_rng(7)
+    simulator = Simulator(Model([tree], precision=64, gravity=(0.0, 0.0, 0.0)), dt=1 / 240)
+    simulator.state.set_qvel(rng.normal(0.0, 2.0, tree.num_dofs))
+    pivot = simulator.model.links.offset[0]
 
-    Semi-implicit Euler in joint coordinates (MuJoCo's too) does not conserve them exactly.
-    """
+    def about_pivot():
+        linear, angular = simulator.energy()[1][0]
+        return angular - np.cross(pivot, linear)
+
+    before = about_pivot()
+    simulator.step(480)
+    assert np.linalg.norm(about_pivot() - before) < 5e-12 * np.linalg.norm(before)
+
+
+def test_impulses_change_momentum_by_exactly_themselves():
+    """Drop a floating tree for a second while a force pulls at one link: it gains (m g + F) t and nothing else."""
     tree, rng = free_tree(6), np.random.default_rng(7)
-    qpos, qvel = random_qpos(rng, tree, 0.5), rng.normal(0.0, 2.0, tree.num_dofs)
-    drift = []
-    for h in (2.5e-4, 1.25e-4, 6.25e-5):
-        before, after = momentum_after(tree, qpos, qvel, h, round(0.25 / h))
-        drift.append(np.linalg.norm(after - before, axis=1) / np.linalg.norm(before, axis=1))
-    np.testing.assert_allclose(np.divide(drift[:-1], drift[1:]), 2.0, rtol=0.1)
-    assert np.max(drift[-1]) < 5e-3
+    simulator = Simulator(Model([tree], precision=64), dt=1 / 240)
+    simulator.state.set_qvel(rng.normal(0.0, 1.0, tree.num_dofs))
+    place = int(simulator.model.link_place[7])
+    force = np.array([1.0, -2.0, 3.0])
+    simulator.load.force.torch[..., place, :] = torch.as_tensor(force)
+    before = simulator.energy()[1][0].copy()
+    simulator.step(240)
+    gained = simulator.energy()[1][0][0] - before[0]
+    np.testing.assert_allclose(gained, force + tree.mass.sum() * np.array([0.0, 0.0, -9.81]), rtol=0, atol=1e-10)
+
+
+def test_keeping_momentum_keeps_the_order_of_the_step():
+    """Halve the error of a floating tree's joint coordinates with the step, against a run at a 64th of it."""
+    tree, rng = free_tree(6), np.random.default_rng(7)
+    qpos, qvel = random_qpos(rng, tree, 0.2), rng.normal(0.0, 1.0, tree.num_dofs)
+
+    def run(h):
+        simulator = Simulator(Model([tree], precision=64, gravity=(0.0, 0.0, 0.0)), dt=h)
+        simulator.state.set_qpos(qpos)
+        simulator.state.set_qvel(qvel)
+        simulator.refresh()
+        assert simulator.implicit_worlds() == 0
+        simulator.step(round(0.25 / h))
+        return simulator.observe()[0].numpy().copy()
+
+    exact = 2 * run(1e-3 / 128) - run(1e-3 / 64)
+    errors = [np.abs(run(h) - exact).max() for h in (1e-3, 5e-4, 2.5e-4)]
+    np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 2.0, rtol=0.15)
+
+
+def test_free_and_held_trees_share_no_thread():
+    """Step free trees among held ones: each has the bits it has alone."""
+    trees = [free_tree(6), *forest(5)[0], pivoted_tree(3), free_tree(9)]
+    together = Simulator(Model(trees, width=8))
+    starts = [random_qpos(np.random.default_rng(i), t, 0.2) for i, t in enumerate(trees)]
+    together.state.set_qpos(starts)
+    together.refresh()
+    together.step(50)
+    for i, (tree, start) in enumerate(zip(trees, starts, strict=True)):
+        alone = Simulator(Model([tree], width=1))
+        alone.state.set_qpos(start)
+        alone.refresh()
+        alone.step(50)
+        assert np.array_equal(alone.state.qpos()[0], together.state.qpos()[i])
 
 
 # ---- independent worlds ---------------------------------------------------------------------------------------------
