@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from . import rotation
-from .tree import IntArray, Joint, Tree
+from .tree import Array, IntArray, Joint, Tree
 
 
 @dataclass
@@ -133,7 +133,7 @@ def arrange(trees: Sequence[Tree], width: int) -> Layout:
     free = np.array([freedom(t) for t in trees])
     order = np.arange(len(trees))
     if width > 1:
-        order = np.lexsort((order, [rank[s] for s in signatures], free))
+        order = np.lexsort((order, np.array([rank[s] for s in signatures]), free))
     # trees that nothing holds step differently: they share no thread with others
     alike = [order[free[order] == f] for f in np.unique(free)] if width > 1 else [order]
     groups = [part[g : g + width] for part in alike for g in range(0, len(part), width)]
@@ -152,11 +152,11 @@ def freedom(tree: Tree) -> int:
         return 0
     if tree.joint[roots[0]] == Joint.SPHERICAL:
         return 1
-    link, chain, pose, axes = int(roots[0]), [], np.array([1.0, 0.0, 0.0, 0.0]), []
-    while len(chain) < 3 and tree.joint[link] == Joint.PRISMATIC and loose[link]:
+    link, pose = int(roots[0]), np.array([1.0, 0.0, 0.0, 0.0])
+    axes: list[Array] = []
+    while len(axes) < 3 and tree.joint[link] == Joint.PRISMATIC and loose[link]:
         pose = rotation.multiply(pose, tree.rotation[link])
         axes.append(rotation.rotate(pose, tree.axis[link]))
-        chain.append(link)
         below = np.flatnonzero(tree.parent == link)
         if len(below) != 1:
             return 0
