@@ -4,7 +4,7 @@ Every array is indexed [group, link]: a group is one world, or the 8 or 16 world
 the world's slot, links are 1..count. World ``w`` sits in slot ``w`` = group * lanes + lane.
 """
 
-from functools import cache, lru_cache
+from functools import cache
 from types import SimpleNamespace
 
 import warp as wp

@@ -19,7 +19,7 @@ import warp as wp
 from .algebra import add, add_cross, add_scaled, cross, div, dot, mul, rotate, shifted_inverse, sub, unrotate
 from .articulated import own_inertia
 from .observe import locate_links
-from .real import any_neg, fma, real, where_neg
+from .real import fma, real, where_neg
 
 __all__ = ["FLOATING", "HELD", "PIVOTED"]
 

@@ -1,6 +1,6 @@
 """Put chosen worlds back to a stored state; the others are not touched."""
 
-from functools import cache, lru_cache
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,6 +1,6 @@
 """Kernels that replay recorded trajectories: many parameter sets against the same inputs, in one launch."""
 
-from functools import cache, lru_cache
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 

@@ -11,6 +11,7 @@ import torch
 
 from ..sim.tree import Array
 from .fit import Modes, find_modes
+from .plant import box_of
 from .svgd import svgd
 from .target import Target
 
@@ -57,9 +58,7 @@ def initial_vectors(target: Target, count: int, generator: torch.Generator) -> t
     """Return start vectors [S, D]: the plant's typical values, scattered, and the recordings' guessed start states."""
     n = target.num_parameters
     typical = torch.as_tensor(target.plant.typical).log()
-    parameters = target.plant.parameters
-    low = torch.tensor([p.low for p in parameters], dtype=torch.float64).log()
-    high = torch.tensor([p.high for p in parameters], dtype=torch.float64).log()
+    low, high = box_of(target.plant.parameters)
     scatter = torch.randn(count, n, generator=generator, dtype=torch.float64) * ((high - low) / 8.0).clamp(max=2.0)
     # half of the starts scale all parameters together: the overall size is the least known
     together = torch.randn(count, 1, generator=generator, dtype=torch.float64) * ((high - low) / 8.0).clamp(max=1.5)

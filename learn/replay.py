@@ -9,11 +9,10 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from ..sim import rotation
 from ..sim.command_simulate import Simulate, check_memory, make_simulator, steps_of
 from ..sim.errors import InputError
 from ..sim.figures import COLORS, STYLE
-from ..sim.pose import quat_rotate
+from ..sim.rotation import quat_rotate
 from ..sim.simulator import Simulator
 from ..sim.trajectory import Trajectory, record
 from ..sim.tree import Array
@@ -57,7 +56,7 @@ class Push:
         link, point = self.case.grasp
         model = self.simulator.model
         first = model.first_link[:-1] + link
-        local = rotation.rotate(rotation.conjugate(model.links.frame[first]), point - model.links.anchor[first])
+        local = model.links.in_link_frame(first, point)
         self._group, self._lane = np.divmod(model.world_slot, model.width)
         self._place = model.link_place[first]
         self._put(self.simulator.load.point.torch, local)

@@ -11,7 +11,6 @@ import torch
 import warp as wp
 
 from ..kernels.rollout import rollout_kernels
-from ..sim import rotation
 from ..sim.arrays import LaneArray
 from ..sim.host import simd_width
 from ..sim.model import Model
@@ -114,12 +113,8 @@ class Rollout:
         if isinstance(self.plant, BranchPlant):
             link, point = self.plant.grasp
             place = int(m.link_place[link])
-            frame = m.links.frame[link]
-            sim.load.point.torch[:, :, place] = torch.as_tensor(
-                rotation.rotate(rotation.conjugate(frame), point - m.links.anchor[link]),
-                dtype=sim.load.point.torch.dtype,
-                device=str(dev),
-            )
+            local = torch.as_tensor(m.links.in_link_frame(link, point), device=self.torch_device)
+            sim.load.point.torch[:, :, place] = local.to(sim.load.point.torch.dtype)
             self.channels = 6
             kernel, before = kernels.point, [*before, place, trajectory, length, drive]
         else:

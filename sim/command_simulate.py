@@ -227,7 +227,8 @@ def _bent(options: Simulate, mechanism: Mechanism) -> Array:
     """Turn every joint of every world's start by a normally distributed angle, ball joints about a random axis."""
     import numpy as np
 
-    from .pose import axis_angle_quat, coordinate_start, quat_multiply
+    from .pose import coordinate_start
+    from .rotation import axis_angle_quat, quat_multiply
     from .tree import Joint
 
     tree, rows = mechanism.tree, np.tile(mechanism.qpos0, (options.worlds or 1, 1))

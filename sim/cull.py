@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from .errors import InputError
-from .pose import quat_matrix, rest_pose
+from .pose import rest_pose
+from .rotation import quat_matrix
 from .tree import Array, IntArray, Tree
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import trimesh
 
 from .errors import InputError
-from .pose import quat_rotate, rest_pose
+from .pose import rest_pose
+from .rotation import quat_rotate
 from .tree import Array, IntArray, Tree
 
 Pose = tuple[Array, Array]

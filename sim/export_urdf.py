@@ -21,7 +21,7 @@ import numpy as np
 from .errors import InputError
 from .export_mesh import level_color
 from .export_mjcf import numbers
-from .pose import quat_matrix, quat_rotate
+from .rotation import quat_matrix, quat_rotate
 from .tree import Array, Joint, Tree
 
 ROOT = "world"

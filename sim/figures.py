@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from .pose import quat_rotate
+from .rotation import quat_rotate
 from .trajectory import Trajectory, own_bodies
 from .tree import Array, IntArray, Tree
 

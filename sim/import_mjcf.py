@@ -18,7 +18,7 @@ from .mjcf_bodies import Body, read_bodies
 from .mjcf_document import IDENTITY, Document, read_document, unit
 from .mjcf_features import ignored_features, refuse_unsupported
 from .mjcf_inertia import Pose
-from .pose import axis_angle_quat, quat_matrix, quat_multiply, quat_rotate
+from .rotation import axis_angle_quat, quat_matrix, quat_multiply, quat_rotate
 from .tree import Array, Joint, Tree
 from .xml_tree import Element
 

@@ -18,7 +18,8 @@ import numpy as np
 from .errors import InputError
 from .import_mjcf import Mechanism
 from .mjcf_inertia import MassProperties
-from .pose import axis_angle_quat, quat_multiply, quat_rotate, zero_qpos
+from .pose import zero_qpos
+from .rotation import axis_angle_quat, quat_multiply, quat_rotate
 from .tree import Array, Joint, Tree
 from .xml_tree import Element, read_xml
 

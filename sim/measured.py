@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import InputError
-from .pose import quat_multiply
+from .rotation import quat_multiply
 from .stiffness import hold_rest_pose
 from .tree import Array, Joint, Tree
 

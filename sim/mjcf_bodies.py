@@ -21,7 +21,7 @@ from .mjcf_inertia import (
     mesh_geom,
     primitive,
 )
-from .pose import quat_rotate
+from .rotation import quat_rotate
 from .tree import Array
 from .xml_tree import Element
 

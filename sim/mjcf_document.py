@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from .mjcf_inertia import Pose
-from .pose import axis_angle_quat, quat_multiply
+from .rotation import axis_angle_quat, quat_multiply
 from .tree import Array
 from .xml_tree import Element, read_xml
 

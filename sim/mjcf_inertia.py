@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from .pose import quat_matrix, quat_multiply, quat_rotate
+from .rotation import quat_matrix, quat_multiply, quat_rotate
 from .tree import Array
 from .xml_tree import Element
 

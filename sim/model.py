@@ -160,9 +160,9 @@ class Model:
         links: Links = self.links
         spherical = (links.kind == Joint.SPHERICAL)[:, None]
         # rest^-1 q, seen from the link frame
-        turned = rotation.multiply(rotation.conjugate(np.where(spherical, links.rest, [1.0, 0, 0, 0])), flat)
-        inverse = rotation.conjugate(links.frame)
-        turned = rotation.multiply(rotation.multiply(inverse, turned), links.frame)
+        turned = rotation.quat_multiply(rotation.quat_conjugate(np.where(spherical, links.rest, [1.0, 0, 0, 0])), flat)
+        inverse = rotation.quat_conjugate(links.frame)
+        turned = rotation.quat_multiply(rotation.quat_multiply(inverse, turned), links.frame)
         scalar = np.zeros_like(flat)
         scalar[:, 0] = 1.0
         scalar[:, 1] = np.where(links.kind == Joint.FIXED, 0.0, flat[:, 0] - links.rest[:, 0])
@@ -191,8 +191,10 @@ class Model:
         """Return one ``qpos`` a world from kernel coordinates [N, 4]; the inverse of `coordinates_from_qpos`."""
         links: Links = self.links
         spherical = (links.kind == Joint.SPHERICAL)[:, None]
-        q = rotation.multiply(rotation.multiply(links.frame, coordinates), rotation.conjugate(links.frame))
-        q = rotation.multiply(np.where(spherical, links.rest, [1.0, 0, 0, 0]), q)
+        q = rotation.quat_multiply(
+            rotation.quat_multiply(links.frame, coordinates), rotation.quat_conjugate(links.frame)
+        )
+        q = rotation.quat_multiply(np.where(spherical, links.rest, [1.0, 0, 0, 0]), q)
         scalar = np.zeros_like(q)
         scalar[:, 0] = coordinates[:, 1] + links.rest[:, 0]
         values = np.where(spherical, q, scalar)

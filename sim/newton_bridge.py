@@ -18,7 +18,8 @@ import warp as wp
 from .errors import InputError
 from .mjcf_document import z_to
 from .newton_layout import SOURCE, WorldLayout, host, read_layout, turned, unit, wxyz, xyzw
-from .pose import quat_rotate, rest_pose
+from .pose import rest_pose
+from .rotation import quat_rotate
 from .tree import Array, IntArray, Joint, Tree
 
 

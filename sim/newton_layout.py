@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InputError
-from .pose import quat_multiply, quat_rotate
+from .rotation import quat_multiply, quat_rotate
 from .tree import Array, IntArray, Joint
 
 SOURCE = "Newton model"

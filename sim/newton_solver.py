@@ -182,14 +182,14 @@ def _slots(bough: Model, layout: list[WorldLayout]) -> Slots:
     joint_frame = np.concatenate([w.turn for w in layout])
     spherical = (links.kind == Joint.SPHERICAL)[:, None]
     rest = np.where(spherical, links.rest, [1.0, 0.0, 0.0, 0.0])
-    left = rotation.multiply(rotation.conjugate(rotation.multiply(rest, links.frame)), joint_frame)
+    left = rotation.quat_multiply(rotation.quat_conjugate(rotation.quat_multiply(rest, links.frame)), joint_frame)
     slots = Slots()
     integers = {name: np.concatenate([getattr(w, name) for w in layout]) for name in ("q_start", "qd_start", "body")}
     integers |= {"group": bough.link_slot // bough.width, "lane": bough.link_slot % bough.width}
     integers |= {"place": bough.link_place, "kind": links.kind, "parent": np.where(parent < 0, -1, parent + first)}
     for name, values in integers.items():
         setattr(slots, name, integer_array(values, device))
-    right = rotation.multiply(rotation.conjugate(joint_frame), links.frame)
+    right = rotation.quat_multiply(rotation.quat_conjugate(joint_frame), links.frame)
     for name, turn in (("left", left), ("right", right), ("frame", links.frame)):
         setattr(slots, name, wp.array(xyzw(turn), dtype=wp.quat, device=device))
     slots.rest = wp.array(links.rest[:, 0], dtype=float, device=device)

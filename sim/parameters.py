@@ -51,6 +51,10 @@ class Links:
     anchor: Array
     rest: Array
 
+    def in_link_frame(self, n: int | IntArray, point: Array) -> Array:
+        """Return points [..., 3] of the body frames of links ``n`` in their link frames [m]."""
+        return rotation.quat_rotate(rotation.quat_conjugate(self.frame[n]), point - self.anchor[n])
+
 
 def principal_frames(inertia: Array) -> tuple[Array, Array]:
     """Return principal moments [N, 3] and frames [N, 4] of symmetric tensors [N, 3, 3].
@@ -64,7 +68,7 @@ def principal_frames(inertia: Array) -> tuple[Array, Array]:
     if full.any():
         values, vectors = np.linalg.eigh(inertia[full])
         vectors[:, :, 2] *= np.sign(np.linalg.det(vectors))[:, None]
-        moments[full], frames[full] = values, rotation.from_matrix(vectors)
+        moments[full], frames[full] = values, rotation.matrix_quat(vectors)
     return moments, frames
 
 
@@ -77,7 +81,7 @@ def inertia_about(tree_mass: Array, com: Array, inertia: Array, point: Array) ->
 
 def rest_rotation(kind: IntArray, axis: Array, rest: Array) -> Array:
     """Return the joint rotation at the spring's rest, shape [N, 4]."""
-    turned = rotation.about(axis, rest[:, 0])
+    turned = rotation.axis_angle_quat(axis, rest[:, 0])
     identity = np.array([1.0, 0.0, 0.0, 0.0])
     out = np.where((kind == Joint.SPHERICAL)[:, None], rest, identity)
     return np.where((kind == Joint.REVOLUTE)[:, None], turned, out)
@@ -97,19 +101,21 @@ def link_parameters(trees: Sequence[Tree]) -> Links:
     anchor, axis, rest = (stacked(n) for n in ("anchor", "axis", "rest"))
     mass, com, body_rotation = stacked("mass"), stacked("com"), stacked("rotation")
     moments, frame = principal_frames(inertia_about(mass, com, stacked("inertia"), anchor))
-    inverse = rotation.conjugate(frame)
+    inverse = rotation.quat_conjugate(frame)
     slide = np.where((kind == Joint.PRISMATIC)[:, None], axis * rest[:, :1], 0.0)
-    point = stacked("position") + rotation.rotate(body_rotation, anchor + slide)
+    point = stacked("position") + rotation.quat_rotate(body_rotation, anchor + slide)
     above = parent >= 0
     parent_inverse = np.where(above[:, None], inverse[parent], [1.0, 0.0, 0.0, 0.0])
-    offset = rotation.rotate(parent_inverse, point - np.where(above[:, None], anchor[parent], 0.0))
-    rest_turn = rotation.multiply(body_rotation, rest_rotation(kind, axis, rest))
-    turn = rotation.multiply(rotation.multiply(parent_inverse, rest_turn), frame)
+    offset = rotation.quat_rotate(parent_inverse, point - np.where(above[:, None], anchor[parent], 0.0))
+    rest_turn = rotation.quat_multiply(body_rotation, rest_rotation(kind, axis, rest))
+    turn = rotation.quat_multiply(rotation.quat_multiply(parent_inverse, rest_turn), frame)
     spherical = (kind == Joint.SPHERICAL)[:, None]
     preload = stacked("preload")
+    turned_preload = rotation.quat_rotate(inverse, preload)
     return Links(
         world=world, kind=kind, offset=offset, turn=turn / np.linalg.norm(turn, axis=1, keepdims=True),
-        axis=rotation.rotate(inverse, axis), mass=mass, com=rotation.rotate(inverse, com - anchor), inertia=moments,
+        axis=rotation.quat_rotate(inverse, axis), mass=mass, com=rotation.quat_rotate(inverse, com - anchor),
+        inertia=moments,
         stiffness=stacked("stiffness"), damping=stacked("damping"), armature=stacked("armature"),
-        preload=np.where(spherical, rotation.rotate(inverse, preload), preload), frame=frame, anchor=anchor, rest=rest,
+        preload=np.where(spherical, turned_preload, preload), frame=frame, anchor=anchor, rest=rest,
     )  # fmt: skip

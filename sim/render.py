@@ -16,7 +16,8 @@ from ..kernels import raytrace
 from .errors import InputError
 from .export_mesh import Pose, linear_light, mesh
 from .foliage import foliage, grass, leafy
-from .pose import axis_angle_quat, quat_multiply, quat_rotate, rest_pose
+from .pose import rest_pose
+from .rotation import axis_angle_quat, quat_multiply, quat_rotate
 from .tree import Array, IntArray, Tree
 
 Image = NDArray[np.uint8]

@@ -7,41 +7,39 @@ import numpy as np
 from .tree import Array
 
 
-def multiply(p: Array, q: Array) -> Array:
-    """Return the product p q, shape [..., 4]."""
-    pw, px, py, pz = np.moveaxis(np.asarray(p), -1, 0)
-    qw, qx, qy, qz = np.moveaxis(np.asarray(q), -1, 0)
-    return np.stack(
-        [
-            pw * qw - px * qx - py * qy - pz * qz,
-            pw * qx + px * qw + py * qz - pz * qy,
-            pw * qy + py * qw + pz * qx - px * qz,
-            pw * qz + pz * qw + px * qy - py * qx,
-        ],
-        axis=-1,
-    )
+def quat_multiply(a: Array, b: Array) -> Array:
+    """Hamilton product a b of quaternions w, x, y, z, shapes [..., 4], broadcast."""
+    a, b = np.broadcast_arrays(a, b)
+    w = a[..., :1] * b[..., :1] - np.sum(a[..., 1:] * b[..., 1:], axis=-1, keepdims=True)
+    v = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + np.cross(a[..., 1:], b[..., 1:])
+    return np.concatenate([w, v], axis=-1)
 
 
-def conjugate(q: Array) -> Array:
-    """Return the inverse of unit quaternions, shape [..., 4]."""
+def quat_conjugate(q: Array) -> Array:
+    """Inverse of unit quaternions, shape [..., 4]."""
     return np.asarray(q) * np.array([1.0, -1.0, -1.0, -1.0])
 
 
-def rotate(q: Array, v: Array) -> Array:
-    """Return vectors [..., 3] turned by unit quaternions [..., 4]."""
-    w, u = np.asarray(q)[..., :1], np.asarray(q)[..., 1:]
-    t = 2.0 * np.cross(u, v)
-    return v + w * t + np.cross(u, t)
+def quat_rotate(q: Array, v: Array) -> Array:
+    """Vectors v [..., 3] turned by unit quaternions q [..., 4] (w, x, y, z), broadcast."""
+    t = 2.0 * np.cross(q[..., 1:], v)
+    return v + q[..., :1] * t + np.cross(q[..., 1:], t)
 
 
-def about(axis: Array, angle: Array) -> Array:
-    """Return the quaternions of turns by ``angle`` [rad, shape ...] about unit axes [..., 3]."""
+def quat_matrix(q: Array) -> Array:
+    """Rotation matrices [..., 3, 3] of unit quaternions q [..., 4] (w, x, y, z)."""
+    return np.stack([quat_rotate(q, e) for e in np.eye(3)], axis=-1)
+
+
+def axis_angle_quat(axis: Array, angle: Array) -> Array:
+    """Make unit quaternions [..., 4] that turn by ``angle`` [rad], shape [...], about unit ``axis`` [..., 3]."""
     half = 0.5 * np.asarray(angle)[..., None]
-    return np.concatenate([np.cos(half), np.sin(half) * np.asarray(axis)], axis=-1)
+    axis = np.broadcast_to(axis, (*half.shape[:-1], 3))
+    return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
 
 
-def from_matrix(m: Array) -> Array:
-    """Return unit quaternions of rotation matrices [..., 3, 3] (scipy's, with w first)."""
+def matrix_quat(m: Array) -> Array:
+    """Make unit quaternions [..., 4] (w, x, y, z) of rotation matrices [..., 3, 3], by SciPy."""
     from scipy.spatial.transform import Rotation
 
     flat = Rotation.from_matrix(np.reshape(m, (-1, 3, 3))).as_quat()

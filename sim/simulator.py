@@ -104,7 +104,7 @@ class Simulator:
         self._energy = wp.zeros((m.num_worlds, 3), dtype=scalar, device=m.device)
         self._momentum = wp.zeros((m.num_worlds, 2), dtype=self._out3, device=m.device)
         frame, anchor = m.field("Quat"), m.field("Vec")
-        frame.assign(m.scatter(rotation.conjugate(m.links.frame), [1.0, 0.0, 0.0, 0.0]))
+        frame.assign(m.scatter(rotation.quat_conjugate(m.links.frame), [1.0, 0.0, 0.0, 0.0]))
         anchor.assign(m.scatter(m.links.anchor, [0.0, 0.0, 0.0]))
         self._bodies = (anchor, frame)
 
@@ -258,8 +258,7 @@ class Probes:
             for j, (link, point) in enumerate(chosen):
                 n = m.first_link[world] + link
                 place[m.world_slot[world], j] = m.link_place[n]
-                arm = np.asarray(point, np.float64) - m.links.anchor[n]
-                local[m.world_slot[world], j] = rotation.rotate(rotation.conjugate(m.links.frame[n]), arm)
+                local[m.world_slot[world], j] = m.links.in_link_frame(n, np.asarray(point, np.float64))
         self._place = integer_array(_per_group(place, m.width), m.device)
         self._local = m.field("Vec", places=count)
         self._local.assign(local)

@@ -10,6 +10,7 @@ import torch
 import warp as wp
 
 from ..kernels.layout import layout_of
+from . import rotation
 from .arrays import LaneArray
 from .errors import InputError
 from .model import Model
@@ -88,11 +89,9 @@ class State:
         return [values[a:b][k] for a, b, k in zip(cuts, cuts[1:], keep, strict=False)]
 
     def _turned(self, values: Array, *, inverse: bool) -> Array:
-        from . import rotation
-
         links = self.model.links
-        frame = rotation.conjugate(links.frame) if inverse else links.frame
-        return np.where((links.kind == Joint.SPHERICAL)[:, None], rotation.rotate(frame, values), values)
+        frame = rotation.quat_conjugate(links.frame) if inverse else links.frame
+        return np.where((links.kind == Joint.SPHERICAL)[:, None], rotation.quat_rotate(frame, values), values)
 
     def faults(self) -> list[tuple[int, str, int]]:
         """Return (world, link name, tick) of every frozen world."""

@@ -12,7 +12,8 @@ from typing import Literal
 import numpy as np
 
 from .errors import InputError
-from .pose import quat_matrix, quat_rotate, rest_pose
+from .pose import rest_pose
+from .rotation import quat_matrix, quat_rotate
 from .tree import Array, Joint, Tree
 
 DAMPING_TIME = 0.1

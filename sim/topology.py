@@ -124,13 +124,15 @@ def arrange(trees: Sequence[Tree], width: int) -> Layout:
 
     With one world a group the slots are in the order of the worlds.
     """
-    signatures = [_signature(t) for t in trees]
+    distinct = {id(t): t for t in trees}  # a batch is often one tree many times
+    facts = {key: (_signature(t), freedom(t)) for key, t in distinct.items()}
+    signatures = [facts[id(t)][0] for t in trees]
     unique: dict[bytes, Node] = {}
     for tree, signature in zip(trees, signatures, strict=True):
         if signature not in unique:
             unique[signature] = ordered(tree)
     rank = {s: r for r, s in enumerate(sorted(unique, key=lambda s: (_shape_key(unique[s]), s)))}
-    free = np.array([freedom(t) for t in trees])
+    free = np.array([facts[id(t)][1] for t in trees])
     order = np.arange(len(trees))
     if width > 1:
         order = np.lexsort((order, np.array([rank[s] for s in signatures]), free))
@@ -155,8 +157,8 @@ def freedom(tree: Tree) -> int:
     link, pose = int(roots[0]), np.array([1.0, 0.0, 0.0, 0.0])
     axes: list[Array] = []
     while len(axes) < 3 and tree.joint[link] == Joint.PRISMATIC and loose[link]:
-        pose = rotation.multiply(pose, tree.rotation[link])
-        axes.append(rotation.rotate(pose, tree.axis[link]))
+        pose = rotation.quat_multiply(pose, tree.rotation[link])
+        axes.append(rotation.quat_rotate(pose, tree.axis[link]))
         below = np.flatnonzero(tree.parent == link)
         if len(below) != 1:
             return 0

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .errors import InputError
-from .pose import quat_multiply, quat_rotate
+from .rotation import quat_multiply, quat_rotate
 from .tree import Array, IntArray, Joint, Tree, capsule_inertia
 
 Module = tuple[str, tuple[float, ...]]

@@ -121,9 +121,9 @@ def test_forces_at_points(width, precision):
     load, m = simulator.load, simulator.model
     force, effort = rng.normal(0.0, 5.0, (len(m.link_slot), 3)), rng.normal(0.0, 1.0, (len(m.link_slot), 3))
     point = rng.normal(0.0, 0.2, (len(m.link_slot), 3))
-    local = rotation.rotate(rotation.conjugate(m.links.frame), point - m.links.anchor)
+    local = rotation.quat_rotate(rotation.quat_conjugate(m.links.frame), point - m.links.anchor)
     ball = (m.links.kind == Joint.SPHERICAL)[:, None]
-    turned = np.where(ball, rotation.rotate(rotation.conjugate(m.links.frame), effort), effort)
+    turned = np.where(ball, rotation.quat_rotate(rotation.quat_conjugate(m.links.frame), effort), effort)
     for field, values in ((load.force, force), (load.point, local), (load.effort, turned)):
         field.assign(m.scatter(values, [0.0, 0.0, 0.0]))
     for w, (model, data) in enumerate(oracle):

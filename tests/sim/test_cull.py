@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from bough.sim.cull import cull, link_distance
 from bough.sim.errors import InputError
-from bough.sim.pose import quat_matrix, quat_rotate, rest_pose
+from bough.sim.pose import rest_pose
+from bough.sim.rotation import quat_matrix, quat_rotate
 from bough.sim.species import grow
 from bough.sim.stiffness import hold_rest_pose
 from bough.sim.tree import Joint, Tree

@@ -13,7 +13,8 @@ from bough.sim.errors import InputError
 from bough.sim.export_mesh import mesh, to_glb, to_usd
 from bough.sim.export_mjcf import to_mjcf
 from bough.sim.export_urdf import roll_pitch_yaw, to_urdf
-from bough.sim.pose import coordinate_start, pose, quat_matrix, rest_pose
+from bough.sim.pose import coordinate_start, pose, rest_pose
+from bough.sim.rotation import quat_matrix
 from bough.sim.tree import Joint, Tree
 from hypothesis import given, settings
 from hypothesis import strategies as st

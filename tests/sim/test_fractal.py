@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from bough.sim.errors import InputError
 from bough.sim.fractal import grow_chain, grow_fractal
-from bough.sim.pose import pose, quat_rotate, rest_pose
+from bough.sim.pose import pose, rest_pose
+from bough.sim.rotation import quat_rotate
 from bough.sim.tree import Joint, Tree
 
 

@@ -13,7 +13,8 @@ from bough.sim.export_mjcf import to_mjcf
 from bough.sim.export_urdf import to_urdf
 from bough.sim.import_mjcf import Mechanism, load_mjcf
 from bough.sim.import_urdf import load_urdf
-from bough.sim.pose import pose, quat_matrix
+from bough.sim.pose import pose
+from bough.sim.rotation import quat_matrix
 from bough.sim.tree import Joint
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from bough.sim.errors import InputError
 from bough.sim.measured import MeasuredBranch, axis_rotation, frustum_inertia, measured_tree
-from bough.sim.pose import quat_matrix, rest_pose
+from bough.sim.pose import rest_pose
+from bough.sim.rotation import quat_matrix
 from bough.sim.tree import Joint
 from hypothesis import given, settings
 from hypothesis import strategies as st

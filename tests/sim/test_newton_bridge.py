@@ -16,7 +16,8 @@ from bough.sim.newton_layout import (
     velocities_from_newton,
     velocities_to_newton,
 )
-from bough.sim.pose import pose, quat_matrix, quat_multiply
+from bough.sim.pose import pose
+from bough.sim.rotation import quat_matrix, quat_multiply
 from bough.sim.tree import Joint, Tree
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 from bough.sim.export_mjcf import to_mjcf
-from bough.sim.pose import pose, quat_matrix, rest_pose, zero_qpos
+from bough.sim.pose import pose, rest_pose, zero_qpos
+from bough.sim.rotation import quat_matrix
 from bough.sim.tree import Joint, Tree
 from hypothesis import given, settings
 from hypothesis import strategies as st

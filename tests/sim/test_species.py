@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from bough.sim.errors import InputError
 from bough.sim.lsystem import LSystem
-from bough.sim.pose import quat_rotate, rest_pose
+from bough.sim.pose import rest_pose
+from bough.sim.rotation import quat_rotate
 from bough.sim.species import SPECIES, grow, grow_forest, grow_system, species_system
 from bough.sim.tree import Joint, Tree
 from bough.sim.turtle import interpret

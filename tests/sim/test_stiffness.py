@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from bough.sim.errors import InputError
 from bough.sim.export_mjcf import to_mjcf
-from bough.sim.pose import coordinate_start, pose, quat_rotate, zero_qpos
+from bough.sim.pose import coordinate_start, pose, zero_qpos
+from bough.sim.rotation import quat_rotate
 from bough.sim.species import grow
 from bough.sim.stiffness import beam, hold_rest_pose, rudimentary, toppling_stiffness
 from bough.sim.tree import Joint, Tree

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from bough.sim.errors import InputError
 from bough.sim.lsystem import LSystem, to_text
-from bough.sim.pose import pose, quat_matrix, quat_rotate, rest_pose
+from bough.sim.pose import pose, rest_pose
+from bough.sim.rotation import quat_matrix, quat_rotate
 from bough.sim.tree import Joint
 from bough.sim.turtle import Segments, interpret, segments_to_tree
 from hypothesis import given, settings
