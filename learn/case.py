@@ -16,9 +16,17 @@ from numpy.typing import NDArray
 from ..sim.errors import InputError
 from ..sim.measured import MeasuredBranch
 from ..sim.tree import Array
-from .case_columns import Columns, check_clock, read_columns
+from .case_columns import Columns, check_clock, read_columns, resampled
 from .case_joints import JointSetup, check_joint_meta, joint_setup
-from .case_schema import BranchMeta, BranchTrajectoryMeta, JointMeta, JointTrajectoryMeta, MetaFile, read_meta
+from .case_schema import (
+    BranchMeta,
+    BranchTrajectoryMeta,
+    GraspMeta,
+    JointMeta,
+    JointTrajectoryMeta,
+    MetaFile,
+    read_meta,
+)
 
 BRANCH_COLUMNS = ("t_s", "fx_N", "fy_N", "fz_N", "x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps")
 MAX_FORCE = 1e5
@@ -53,6 +61,8 @@ class BranchTrajectory(Trajectory):
         no_contact: Whether the gripper is known to be open, so that the true force is zero, shape [T].
         profile: Name of the force profile, may be empty.
         direction: Direction of the profile, shape [3], or None.
+        grasp_segment: Index of the segment held in this recording.
+        grasp_distance: Distance of the grasp point from that segment's lower end [m].
     """
 
     force: Array
@@ -61,6 +71,13 @@ class BranchTrajectory(Trajectory):
     no_contact: NDArray[np.bool_]
     profile: str
     direction: Array | None
+    grasp_segment: int
+    grasp_distance: float
+
+    @property
+    def grasp(self) -> tuple[int, Array]:
+        """Link that is held and the grasp point in its body frame [m], shape [3]."""
+        return self.grasp_segment, np.array([0.0, 0.0, self.grasp_distance])
 
 
 @dataclass(frozen=True)
@@ -68,11 +85,11 @@ class JointTrajectory(Trajectory):
     """One recording of joints.
 
     Attributes:
-        input: Generalised force on the driven joint [N m or N], shape [T], or None for free motion.
+        effort: Generalised forces on the driven joints [N m or N], columns as in `JointCase.inputs`, shape [T, I].
         output: Measured quantities, scaled, columns as in `JointCase.outputs`, shape [T, C].
     """
 
-    input: Array | None
+    effort: Array
     output: Array
 
 
@@ -223,7 +240,10 @@ def _check_segments(meta: BranchMeta, file: MetaFile) -> list[str]:
             raise file.error([*here, "mass_kg"], text, "within a factor of ten of that")
         if not 1 / 3 < s.mass_kg / wood < 3:
             warnings.append(f"{file.path}: segment {s.name}: {text}")
-    _check_grasp(meta, file)
+    _check_grasp(meta, file, ["grasp"], meta.grasp)
+    for i, item in enumerate(meta.trajectories):
+        if item.grasp is not None:
+            _check_grasp(meta, file, ["trajectories", i, "grasp"], item.grasp)
     for i, (before, after) in enumerate(pairwise(meta.trajectories)):
         end = before.t_start_s + (meta.n_samples - 1) / meta.sample_rate_hz
         if after.t_start_s < end:
@@ -232,21 +252,19 @@ def _check_segments(meta: BranchMeta, file: MetaFile) -> list[str]:
     return warnings
 
 
-def _check_grasp(meta: BranchMeta, file: MetaFile) -> None:
+def _check_grasp(meta: BranchMeta, file: MetaFile, here: list[str | int], grasp: GraspMeta) -> None:
     lengths = {s.name: s.length_m for s in meta.segments}
-    grasp = meta.grasp
     if grasp.segment not in lengths:
-        raise file.error(["grasp", "segment"], repr(grasp.segment), f"one of {', '.join(lengths)}")
+        raise file.error([*here, "segment"], repr(grasp.segment), f"one of {', '.join(lengths)}")
     if grasp.distance_from_lower_end_m > lengths[grasp.segment]:
-        found, allowed = (
-            f"{grasp.distance_from_lower_end_m:g}",
-            f"0 to {lengths[grasp.segment]:g}, the segment's length",
-        )
-        raise file.error(["grasp", "distance_from_lower_end_m"], found, allowed)
+        found = f"{grasp.distance_from_lower_end_m:g}"
+        allowed = f"0 to {lengths[grasp.segment]:g}, the segment's length"
+        raise file.error([*here, "distance_from_lower_end_m"], found, allowed)
 
 
 def _branch_trajectory(folder: Path, meta: BranchMeta, file: MetaFile, index: int) -> BranchTrajectory:
     item = meta.trajectories[index]
+    grasp = item.grasp or meta.grasp
     columns = read_columns(folder / item.file, BRANCH_COLUMNS, exact=True)
     data = columns.values
     if len(data) != meta.n_samples:
@@ -268,6 +286,8 @@ def _branch_trajectory(folder: Path, meta: BranchMeta, file: MetaFile, index: in
         no_contact=_no_contact(data[:, 0], item.no_contact, file, index),
         profile=item.profile,
         direction=None if item.direction is None else np.array(item.direction, dtype=np.float64),
+        grasp_segment=[s.name for s in meta.segments].index(grasp.segment),
+        grasp_distance=float(grasp.distance_from_lower_end_m),
     )
 
 
@@ -309,7 +329,7 @@ def _load_joints(folder: Path, meta: JointMeta, file: MetaFile) -> JointCase:
         if abs(own - dt) * len(trajectory.t) > 0.5 * dt:
             path, found = folder / item.file, f"a sample every {own:.9g} s"
             raise InputError(path, f"column {meta.time_column}", found, f"{dt:.9g} s as in the other trajectories")
-    setup = joint_setup(meta, folder)
+    setup = joint_setup(meta, file, folder, dt)
     return JointCase(
         **vars(setup),
         name=meta.name or folder.resolve().name,
@@ -325,18 +345,20 @@ def _load_joints(folder: Path, meta: JointMeta, file: MetaFile) -> JointCase:
 
 def _joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) -> tuple[JointTrajectory, float]:
     """Read one recording; return it and its own time step [s]."""
-    names = [meta.time_column, *([meta.input.column] if meta.input else []), *(o.column for o in meta.outputs)]
-    names = list(dict.fromkeys(names))
+    inputs = meta.input or []
+    names = list(dict.fromkeys([meta.time_column, *(i.column for i in inputs), *(o.column for o in meta.outputs)]))
     rows = (item.rows[0], item.rows[1]) if item.rows else None
     columns = read_columns(folder / item.file, tuple(names), exact=False, rows=rows)
+    columns = columns if meta.resample_hz is None else resampled(columns, meta.resample_hz)
     step = check_clock(columns)
     by_name = dict(zip(names, columns.values.T, strict=True))
+    efforts = [by_name[i.column] * i.scale for i in inputs]
     trajectory = JointTrajectory(
         file=item.file,
         t=step * np.arange(len(columns.values), dtype=np.float64),
         t_start=float(item.t_start_s),
         replicate_of=None if item.replicate_of is None else item.replicate_of - 1,
-        input=by_name[meta.input.column] * meta.input.scale if meta.input else None,
+        effort=np.stack(efforts, axis=-1) if efforts else np.zeros((len(columns.values), 0)),
         output=np.stack([by_name[o.column] * o.scale for o in meta.outputs], axis=-1),
     )
     return trajectory, step

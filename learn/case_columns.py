@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -85,11 +85,7 @@ def check_clock(columns: Columns, sample_rate: float | None = None) -> float:
         InputError: Time stands still or runs backwards, a step differs from the others, or all differ from the rate.
     """
     t, name = columns.values[:, 0], columns.names[0]
-    steps = np.diff(t)
-    if (steps <= 0).any():
-        i = int(np.argmax(steps <= 0))
-        found = f"time {t[i + 1]:.9g} s after {t[i]:.9g} s"
-        raise InputError(columns.path, columns.place(i + 1, name), found, "times that increase from row to row")
+    steps = _increasing(columns)
     typical, mean = float(np.median(steps)), float(t[-1] - t[0]) / (len(t) - 1)
     slack = min(1.01 * 10.0**-columns.decimals, 0.2 * typical) + 1e-3 * typical + 4 * np.spacing(np.abs(t).max())
     step = mean if abs(mean - typical) <= slack else typical
@@ -97,12 +93,54 @@ def check_clock(columns: Columns, sample_rate: float | None = None) -> float:
     if wrong.any():
         i = int(np.argmax(wrong))
         found = f"a step of {steps[i]:.9g} s"
-        allowed = f"{typical:.9g} s as elsewhere (uniform sampling, times with enough decimals)"
+        remedy = "" if sample_rate else ", or resample_hz in meta.yaml"
+        allowed = f"{typical:.9g} s as elsewhere (uniform sampling, times with enough decimals){remedy}"
         raise InputError(columns.path, columns.place(i + 1, name), found, allowed)
     if sample_rate is not None and abs((t[-1] - t[0]) * sample_rate - (len(t) - 1)) > slack * sample_rate:
         found = f"a sample every {mean:.9g} s ({1 / mean:.6g} Hz)"
         raise InputError(columns.path, f"column {name}", found, f"sample_rate_hz of meta.yaml, {sample_rate:.6g} Hz")
     return mean
+
+
+#: A step this many times as long as the usual one is a gap, not jitter.
+GAP = 4.0
+
+
+def resampled(columns: Columns, rate: float) -> Columns:
+    """Return columns whose clock has jitter on a uniform grid from the first time on, linear between the samples.
+
+    Args:
+        columns: Columns with the clock first [s].
+        rate: Samples a second of the grid [Hz].
+
+    Raises:
+        InputError: Time stands still or runs backwards; a step is `GAP` times the usual one or longer; the grid has
+            fewer than `MIN_ROWS` samples.
+    """
+    t, name = columns.values[:, 0], columns.names[0]
+    steps = _increasing(columns)
+    typical = float(np.median(steps))
+    if steps.max() >= GAP * typical:
+        i = int(np.argmax(steps))
+        allowed = f"less than {GAP:g} steps of {typical:.9g} s between neighbours, cut by rows otherwise"
+        raise InputError(columns.path, columns.place(i + 1, name), f"a step of {steps[i]:.9g} s", allowed)
+    count = int(np.floor((t[-1] - t[0]) * rate * (1 + 1e-12))) + 1
+    if count < MIN_ROWS:
+        raise InputError(columns.path, "", f"{count} samples at resample_hz {rate:g}", f"at least {MIN_ROWS}")
+    grid = t[0] + np.arange(count) / rate
+    return replace(columns, values=np.stack([np.interp(grid, t, c) for c in columns.values.T], axis=-1), decimals=12)
+
+
+def _increasing(columns: Columns) -> Array:
+    """Return the steps of the clock [s], all above zero."""
+    t = columns.values[:, 0]
+    steps: Array = np.diff(t)
+    if (steps <= 0).any():
+        i = int(np.argmax(steps <= 0))
+        found = f"time {t[i + 1]:.9g} s after {t[i]:.9g} s"
+        place = columns.place(i + 1, columns.names[0])
+        raise InputError(columns.path, place, found, "times that increase from row to row")
+    return steps
 
 
 def _check_header(path: Path, header: list[str], names: tuple[str, ...], exact: bool) -> None:

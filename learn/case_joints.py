@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from ..sim.errors import InputError
-from ..sim.files import read_text
+from ..sim.mjcf_bodies import Body, read_bodies
+from ..sim.mjcf_document import read_document
 from .case_schema import InputMeta, JointMeta, JointSpecMeta, MetaFile, OutputMeta, nearest
 
 
@@ -26,20 +25,31 @@ class GravityTorque:
 
 
 @dataclass(frozen=True)
-class JointSpec:
-    """One joint; None = infer.
+class JointAxis:
+    """One joint of a mechanism.
 
     Attributes:
         name: Its name.
         type: ``revolute`` (rad, N m, kg m^2) or ``prismatic`` (m, N, kg).
+        link: Index of the link that it moves, in the plant's tree.
+    """
+
+    name: str
+    type: Literal["revolute", "prismatic"]
+    link: int
+
+
+@dataclass(frozen=True)
+class JointSpec(JointAxis):
+    """One joint on a fixed frame; None = infer.
+
+    Attributes:
         inertia: Inertia [kg m^2 or kg].
         stiffness: Spring [N m/rad or N/m].
         damping: Damper [N m s/rad or N s/m].
         gravity_torque: Gravity torque, or None where there is none.
     """
 
-    name: str
-    type: Literal["revolute", "prismatic"]
     inertia: float | None
     stiffness: float | None
     damping: float | None
@@ -48,7 +58,7 @@ class JointSpec:
 
 @dataclass(frozen=True)
 class JointInput:
-    """The measured generalised force; ``JointTrajectory.input`` is already scaled.
+    """One measured generalised force; ``JointTrajectory.effort`` is already scaled.
 
     Attributes:
         joint: Joint it acts on.
@@ -67,70 +77,150 @@ class JointOutput:
 
     Attributes:
         joint: Joint it belongs to.
-        quantity: ``position``, ``velocity`` or ``acceleration``.
+        quantity: ``position``, ``velocity`` or ``acceleration``; ``effort`` for a channel of a torque fit.
         column: Column of the CSV.
         scale: SI units per unit of the column.
     """
 
     joint: str
-    quantity: Literal["position", "velocity", "acceleration"]
+    quantity: Literal["position", "velocity", "acceleration", "effort"]
     column: str
     scale: float
 
 
 @dataclass(frozen=True)
 class JointSetup:
-    """Mechanism, input and outputs.
+    """Mechanism, inputs, outputs and how the model is held against them.
 
     Attributes:
-        joints: Joints with their known values; empty where an MJCF file describes the mechanism.
-        mjcf: That file, or None.
-        input: What drives the mechanism, or None for free motion.
+        joints: Joints in the plant's order: `JointSpec` with their known values, or the axes of the MJCF file.
+        mjcf: File that describes the mechanism, or None.
+        unknown: What of the MJCF file is unknown: a quantity of `UNKNOWN` for every joint, or ``quantity joint``.
+        inputs: What drives the mechanism, length I; empty for free motion.
         outputs: What is measured, length C.
+        fit: ``replay`` (the motion that the efforts cause) or ``torque`` (the efforts that the motion needs).
+        filter_hz: Cut-off of the low-pass filter of torque fits [Hz].
     """
 
-    joints: tuple[JointSpec, ...]
+    joints: tuple[JointAxis, ...]
     mjcf: Path | None
-    input: JointInput | None
+    unknown: tuple[str, ...]
+    inputs: tuple[JointInput, ...]
     outputs: tuple[JointOutput, ...]
+    fit: Literal["replay", "torque"]
+    filter_hz: float
+
+    @property
+    def channels(self) -> tuple[JointOutput, ...]:
+        """What the model predicts: the outputs of a replay, the driven joints' efforts in a torque fit."""
+        if self.fit == "replay":
+            return self.outputs
+        return tuple(JointOutput(item.joint, "effort", item.column, 1.0) for item in self.inputs)
 
 
-def joint_setup(meta: JointMeta, folder: Path) -> JointSetup:
-    """Turn a checked ``meta.yaml`` into the mechanism, its input and its outputs."""
-    drive = meta.input
+#: What may be unknown of a mechanism from an MJCF file; see `plant_mechanism`.
+UNKNOWN = ("damping", "stiffness", "armature", "preload", "mass", "com", "inertia", "length")
+
+#: Samples a period of the cut-off where ``filter_hz`` is not given.
+FILTER_SAMPLES = 20.0
+
+
+def joint_setup(meta: JointMeta, file: MetaFile, folder: Path, dt: float) -> JointSetup:
+    """Turn a checked ``meta.yaml`` into the mechanism, its inputs and outputs; ``dt`` is the sampling step [s].
+
+    Raises:
+        InputError: The filter or the kind of fit does not go with what is measured.
+    """
+    joints = case_joints(meta, folder)
+    torque = _fits_torque(meta, file, [j.name for j in joints])
+    if meta.filter_hz is not None and not torque:
+        raise file.error(["filter_hz"], f"{meta.filter_hz:g} where fit is replay", "this key with fit: torque only")
+    holds = [item.hold for item in meta.input or ()]
+    if not torque and len(set(holds)) > 1:
+        k = next(i for i, hold in enumerate(holds) if hold != holds[0])
+        raise file.error(["input", k, "hold"], holds[k], f"{holds[0]} as in the other inputs of a replay")
+    filter_hz = 1.0 / (FILTER_SAMPLES * dt) if meta.filter_hz is None else meta.filter_hz
+    if filter_hz >= 0.5 / dt:
+        raise file.error(["filter_hz"], f"{filter_hz:g}", f"below half the sampling rate, {0.5 / dt:g} Hz")
     return JointSetup(
-        joints=tuple(_joint(spec) for spec in meta.mechanism.joints or ()),
+        joints=joints,
         mjcf=folder / meta.mechanism.mjcf if meta.mechanism.mjcf else None,
-        input=JointInput(drive.joint, drive.column, drive.hold) if drive else None,
+        unknown=tuple(meta.mechanism.unknown or ()),
+        inputs=tuple(JointInput(i.joint, i.column, i.hold) for i in meta.input or ()),
         outputs=tuple(JointOutput(o.joint, o.quantity, o.column, float(o.scale)) for o in meta.outputs),
+        fit="torque" if torque else "replay",
+        filter_hz=filter_hz,
     )
 
 
-def _joint(spec: JointSpecMeta) -> JointSpec:
+def _fits_torque(meta: JointMeta, file: MetaFile, joints: list[str]) -> bool:
+    """Return whether efforts are fitted: as ``fit`` says, else for an MJCF file with everything measured."""
+    located = [o.joint for o in meta.outputs if o.quantity == "position"]
+    driven = [i.joint for i in meta.input or ()]
+    missing = [f"{what} of {name}" for what, names in (("position", located), ("input", driven))
+               for name in joints if name not in names]  # fmt: skip
+    if meta.fit == "torque" and missing:
+        raise file.error(["fit"], f"torque without {missing[0]}", "replay, or position and input of every joint")
+    return meta.fit == "torque" or (meta.fit is None and meta.mechanism.mjcf is not None and not missing)
+
+
+def case_joints(meta: JointMeta, folder: Path) -> tuple[JointAxis, ...]:
+    """Return the joints of a case.
+
+    Raises:
+        InputError: The MJCF file cannot be read or has a joint that neither turns about nor slides along an axis.
+    """
+    if meta.mechanism.mjcf is None:
+        return tuple(_joint(i, spec) for i, spec in enumerate(meta.mechanism.joints or ()))
+    axes: list[JointAxis] = []
+    link = 0
+    for body in read_bodies(read_document(folder / meta.mechanism.mjcf)):
+        axes += _axes(body, link)
+        link += max(1, len(body.joints))
+    return tuple(axes)
+
+
+def _axes(body: Body, first: int) -> list[JointAxis]:
+    """Return the joints of a body, whose links `load_mjcf` numbers from ``first`` on."""
+    out = []
+    for k, (joint, _) in enumerate(body.joints):
+        kind = joint.attrib.get("type", "hinge")
+        if kind not in ("hinge", "slide"):
+            raise joint.error(f"a {kind} joint in a measured mechanism", "hinge or slide joints")
+        name = joint.attrib.get("name", f"joint{first + k}")
+        out.append(JointAxis(name, "revolute" if kind == "hinge" else "prismatic", first + k))
+    return out
+
+
+def _joint(link: int, spec: JointSpecMeta) -> JointSpec:
     gravity = spec.gravity_torque
     torque = GravityTorque(gravity.amplitude, float(gravity.zero_angle)) if gravity else None
-    return JointSpec(spec.name, spec.type, spec.inertia, spec.stiffness, spec.damping, torque)
+    return JointSpec(spec.name, spec.type, link, spec.inertia, spec.stiffness, spec.damping, torque)
 
 
 def check_joint_meta(meta: JointMeta, file: MetaFile, folder: Path) -> None:
     """Check names, scales, rows and the split of a joint case.
 
     Raises:
-        InputError: An input or output names an unknown joint, has a scale of zero; a joint cannot have what it states;
-            the inertia is to be inferred where nothing drives the joint; ``rows`` are reversed; the split overlaps or
-            names a trajectory that is not there; the MJCF file is missing or no XML.
+        InputError: An input, output or unknown names an unknown joint, a scale is zero, a joint is driven twice; a
+            joint cannot have what it states; the inertia is to be inferred where nothing drives the joint; ``rows``
+            are reversed; the split overlaps or names a trajectory that is not there; the MJCF file cannot be read.
     """
-    names = _mjcf_joints(folder / meta.mechanism.mjcf) if meta.mechanism.mjcf else _names(meta)
+    names = [joint.name for joint in case_joints(meta, folder)]
     users: list[tuple[list[str | int], InputMeta | OutputMeta]] = [
         (["outputs", i], output) for i, output in enumerate(meta.outputs)
     ]
-    if meta.input:
-        users.append((["input"], meta.input))
+    users += [(["input", i], item) for i, item in enumerate(meta.input or ())]
     for here, user in users:
-        if names is not None and user.joint not in names:
+        if user.joint not in names:
             raise file.error([*here, "joint"], repr(user.joint), nearest(user.joint, names))
         if user.scale == 0:
             raise file.error([*here, "scale"], "0", "a number other than zero")
+    driven = [item.joint for item in meta.input or ()]
+    for i, name in enumerate(driven):
+        if name in driven[:i]:
+            raise file.error(["input", i, "joint"], f"{name} a second time", "one input a joint")
+    _check_unknown(meta, file, names)
     _check_mechanism(meta, file)
     for i, item in enumerate(meta.trajectories):
         if item.rows and item.rows[1] <= item.rows[0]:
@@ -138,33 +228,28 @@ def check_joint_meta(meta: JointMeta, file: MetaFile, folder: Path) -> None:
     _check_split(meta, file)
 
 
-def _names(meta: JointMeta) -> list[str]:
-    return [joint.name for joint in meta.mechanism.joints or ()]
+def _check_unknown(meta: JointMeta, file: MetaFile, joints: list[str]) -> None:
+    for i, text in enumerate(meta.mechanism.unknown or ()):
+        quantity, _, joint = text.partition(" ")
+        here: list[str | int] = ["mechanism", "unknown", i]
+        if quantity not in UNKNOWN:
+            raise file.error(here, repr(text), nearest(quantity, UNKNOWN))
+        if joint and joint not in joints:
+            raise file.error(here, repr(text), f"{quantity} alone, or with a joint: {nearest(joint, joints)}")
 
 
 def _check_mechanism(meta: JointMeta, file: MetaFile) -> None:
-    driven = meta.input.joint if meta.input else None
+    driven = [item.joint for item in meta.input or ()]
+    names = [joint.name for joint in meta.mechanism.joints or ()]
     for i, joint in enumerate(meta.mechanism.joints or ()):
         here: list[str | int] = ["mechanism", "joints", i]
-        if joint.name in _names(meta)[:i]:
+        if joint.name in names[:i]:
             raise file.error([*here, "name"], f"{joint.name} a second time", "unique names")
         if joint.gravity_torque and joint.type == "prismatic":
             raise file.error([*here, "gravity_torque"], "a gravity torque on a prismatic joint", "revolute joints only")
-        if joint.inertia is None and joint.name != driven:
+        if joint.inertia is None and joint.name not in driven:
             allowed = "a known value, or an input on this joint to infer it from"
             raise file.error([*here, "inertia"], "null on a joint that nothing drives", allowed)
-
-
-def _mjcf_joints(path: Path) -> list[str] | None:
-    """Names of an MJCF file's joints; None where it includes others, which the importer follows."""
-    try:
-        root = ElementTree.fromstring(read_text(path))
-    except ElementTree.ParseError as e:
-        line, column = e.position
-        raise InputError(path, f"line {line}, column {column + 1}", "text that is not XML", "an MJCF file") from None
-    if root.find(".//include") is not None:
-        return None
-    return [item.get("name", "") for item in root.iter("joint") if item.get("name")]
 
 
 def _check_split(meta: JointMeta, file: MetaFile) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from ..sim.errors import InputError
@@ -76,7 +76,7 @@ class GraspMeta(_Strict):
 
 
 class BranchTrajectoryMeta(_Strict):
-    """One recording on the branch; ``replicate_of`` counts from 1."""
+    """One recording on the branch; ``replicate_of`` counts from 1, ``grasp`` stands in for the case's own."""
 
     file: str = Field(min_length=1)
     profile: str = ""
@@ -84,6 +84,7 @@ class BranchTrajectoryMeta(_Strict):
     t_start_s: float
     replicate_of: Ordinal | None = None
     no_contact: list[Annotated[list[float], Field(min_length=2, max_length=2)]] = []
+    grasp: GraspMeta | None = None
 
 
 class BranchMeta(_Strict):
@@ -125,16 +126,20 @@ class JointSpecMeta(_Strict):
 
 
 class MechanismMeta(_Strict):
-    """Either a list of joints or an MJCF file beside ``meta.yaml``."""
+    """Either a list of joints or an MJCF file beside ``meta.yaml`` and what is unknown of it."""
 
     joints: Annotated[list[JointSpecMeta], Field(min_length=1)] | None = None
     mjcf: str | None = None
+    unknown: Annotated[list[str], Field(min_length=1)] | None = None
 
     @model_validator(mode="after")
     def _one_of_two(self) -> MechanismMeta:
         if (self.joints is None) == (self.mjcf is None):
             found = "neither joints nor mjcf" if self.joints is None else "both joints and mjcf"
             raise PydanticCustomError("mechanism", "exactly one of joints, mjcf", {"found": found})
+        if self.joints is not None and self.unknown is not None:
+            found = "unknown beside joints"
+            raise PydanticCustomError("mechanism", "null in a joint's own keys, unknown beside mjcf", {"found": found})
         return self
 
 
@@ -145,6 +150,11 @@ class InputMeta(_Strict):
     column: str = Field(min_length=1)
     scale: float
     hold: Literal["linear", "zero_order"]
+
+
+def _listed(value: object) -> object:
+    """Put the mapping of a single input into a list."""
+    return [value] if isinstance(value, dict) else value
 
 
 class OutputMeta(_Strict):
@@ -178,9 +188,12 @@ class JointMeta(_Strict):
     format: Literal["joint-gap-case/1"]
     name: str | None = None
     time_column: str = Field(default="time_s", min_length=1)
+    resample_hz: Annotated[float, Field(gt=0, le=1e6)] | None = None
     mechanism: MechanismMeta
-    input: InputMeta | None
+    input: Annotated[Annotated[list[InputMeta], Field(min_length=1)] | None, BeforeValidator(_listed)]
     outputs: list[OutputMeta] = Field(min_length=1)
+    fit: Literal["replay", "torque"] | None = None
+    filter_hz: Positive | None = None
     trajectories: list[JointTrajectoryMeta] = Field(min_length=1)
     split: SplitMeta | None = None
     noise_nominal: Annotated[float, Field(ge=0, lt=1)] | None = None
@@ -216,9 +229,23 @@ class MetaFile:
 
     def error(self, location: Location, found: str, allowed: str) -> InputError:
         """Return an `InputError` for a key, with its line in the file; entries of lists are counted from 1."""
-        names = [f"entry {key + 1}" if isinstance(key, int) else str(key) for key in location]
+        names = [f"entry {key + 1}" if isinstance(key, int) else str(key) for key in self._present(location)]
         line = self._line(location)
         return InputError(self.path, ", ".join(([f"line {line}"] if line else []) + [" ".join(names)]), found, allowed)
+
+    def _present(self, location: Location) -> list[str | int]:
+        """Leave out entries of lists that the file does not write as a list."""
+        out: list[str | int] = []
+        node: Any = self._root
+        for key in location:
+            if isinstance(key, int) and isinstance(node, yaml.MappingNode):
+                continue
+            out.append(key)
+            if isinstance(node, yaml.SequenceNode) and isinstance(key, int):
+                node = node.value[key] if key < len(node.value) else None
+            elif isinstance(node, yaml.MappingNode):
+                node = next((v for k, v in node.value if k.value == key), None)
+        return out
 
     def _line(self, location: Location) -> int:
         """Line (from 1) of the deepest node on the way to ``location``."""

@@ -156,33 +156,45 @@ def _wrapped(label: str) -> str:
 
 
 @_styled
-def convergence_figure(
-    log_posterior: Array, misfit: Array, noise_floor: float, *, misfit_label: str = "rms misfit [m]"
-) -> Figure:
+def convergence_figure(log_posterior: Array, mean: Array) -> Figure:
     """Draw how the particles settle.
 
     Args:
         log_posterior: Log posterior of every particle at every iteration, up to a constant, shape [I, P].
-        misfit: Root mean square misfit of every particle at every iteration, shape [I, P].
-        noise_floor: Misfit that a perfect model would leave.
-        misfit_label: Name and unit of the misfit.
+        mean: Mean over the particles of every coordinate, in posterior deviations, shape [I, D].
     """
     figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     steps = np.arange(len(log_posterior))
     # A symmetric-log axis about the best value shows the first leaps and the last small steps alike.
     below = np.maximum(np.nanmax(log_posterior) - log_posterior, 0.0)
-    for ax, values in ((left, below), (right, misfit)):
-        ax.plot(steps, values, color=FAINT, linewidth=0.6)
-        ax.plot(steps, np.nanmedian(values, axis=1), color=MODEL, linewidth=2, label="median particle")
-        ax.set_xlabel("iteration")
+    left.plot(steps, below, color=FAINT, linewidth=0.6)
+    left.plot(steps, np.nanmedian(below, axis=1), color=MODEL, linewidth=2)
     left.set_yscale("symlog", linthresh=1.0)
     left.invert_yaxis()
     left.set_ylabel("log posterior below its best")
-    right.axhline(noise_floor, color=NOISE, linestyle="--", label="noise floor")
-    right.set_yscale("log")
-    right.set_ylabel(misfit_label)
-    right.legend()
+    right.plot(steps, mean, linewidth=1.0)
+    right.set_ylabel("mean of every coordinate\n[posterior deviations]")
+    for ax in (left, right):
+        ax.set_xlabel("iteration")
+    return figure
+
+
+@_styled
+def coverage_figure(nominal: Array, covered: Array) -> Figure:
+    """Draw how much a central interval really covers against what it claims to.
+
+    Args:
+        nominal: Claimed probabilities, shape [N].
+        covered: Shares of held-out points inside, shape [N].
+    """
+    figure = Figure(figsize=(4.2, 3.8), layout="constrained")
+    ax = figure.subplots()
+    ax.plot([0, 100], [0, 100], color=NOISE, linestyle="--", label="ideal")
+    ax.plot(100 * nominal, 100 * covered, color=MODEL, marker=".", label="held-out points")
+    ax.set_xlabel("central interval claims [%]")
+    ax.set_ylabel("points inside [%]")
+    ax.legend()
     return figure
 
 

@@ -28,6 +28,7 @@ class Modes:
 def jacobian_rows(target: Target, derivative: torch.Tensor) -> torch.Tensor:
     """Return d(prediction)/d(log parameters, start states) as [S, R, T, C, n + starts]."""
     n, starts = target.num_parameters, target.start0[0].numel()
+    derivative = derivative.double()
     shared = derivative[:, :n].permute(0, 2, 3, 4, 1)
     if not starts:
         return shared
@@ -48,23 +49,23 @@ def levenberg_marquardt(
     frozen: int = 0,
     progress: Callable[[int], None] = lambda _: None,
 ) -> torch.Tensor:
-    """Climb the Gaussian log posterior at the estimated noise from every start, shape [S, D].
+    """Climb the Gaussian log posterior at each start's own noise from every start, shape [S, D].
 
     Only the first ``horizon`` share of every recording counts: oscillations that are out of step further on do not pull
     a start into a side minimum. The first ``frozen`` entries stay as they are.
     """
     free = target.num_parameters + target.num_starts
-    weight = _weights(target, horizon)
+    window, noise = _window(target, horizon), _noise(target, theta)
     damping = torch.full_like(theta[:, 0], 1e-2)
     best, best_cost = theta.clone(), torch.full_like(damping, torch.inf)
     trial = theta.clone()
     step_from: tuple[torch.Tensor, torch.Tensor] | None = None
     for _ in range(iterations):
         prediction, derivative = target.linearise(trial)
-        residual = target.residual(prediction) * weight
+        residual = target.whiten(target.residual(prediction) * window, noise)
         cost = 0.5 * (residual**2).sum((-1, -2, -3)) - target.prior(trial)
         better = (cost < best_cost) & torch.isfinite(cost)
-        rows = (jacobian_rows(target, derivative) * weight[..., None]).flatten(1, 3)
+        rows = _white_rows(target, jacobian_rows(target, derivative) * window[..., None], noise)
         normal = rows.transpose(1, 2) @ rows
         pull = (rows.transpose(1, 2) @ residual.flatten(1)[..., None])[..., 0] + _prior_gradient(target, trial)[
             :, :free
@@ -86,12 +87,22 @@ def levenberg_marquardt(
     return best
 
 
-def _weights(target: Target, horizon: float) -> torch.Tensor:
-    """1 / sigma of every sample of every channel inside the horizon, shape [R, T, C]."""
-    weight = target.weight.clone()
+def _window(target: Target, horizon: float) -> torch.Tensor:
+    """One at every sample inside the horizon, else zero, shape [R, T, C]."""
+    window = target.weight.clone()
     for j, r in enumerate(target.recordings):
-        weight[j, max(4, int(horizon * len(r.t))) :] = 0.0
-    return weight / target.sigma0
+        window[j, max(4, int(horizon * len(r.t))) :] = 0.0
+    return window
+
+
+def _noise(target: Target, theta: torch.Tensor) -> torch.Tensor:
+    """Logarithm of the noise of every group, [S, g]: theta's own, or the estimate where none is inferred."""
+    return target.split(theta)[2] if target.num_noise else target.log_noise0.expand(len(theta), -1)
+
+
+def _white_rows(target: Target, rows: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+    """Jacobian rows [S, R, T, C, m] whitened as residuals are, [S, R T C, m]."""
+    return target.whiten(rows.permute(0, 4, 1, 2, 3), noise).flatten(2).transpose(1, 2)
 
 
 def _solve(normal: torch.Tensor, pull: torch.Tensor, damping: torch.Tensor) -> torch.Tensor:
@@ -109,13 +120,20 @@ def _prior_gradient(target: Target, theta: torch.Tensor) -> torch.Tensor:
 
 
 def settle_noise(target: Target, theta: torch.Tensor) -> torch.Tensor:
-    """Return theta with every group's noise at its most likely value given the rest."""
+    """Return theta with every group's noise at its most likely value given the rest.
+
+    At that value the group's share of the whitened residuals' squares is its number of samples; where groups are
+    correlated the equations are coupled, and a few rounds solve them.
+    """
     if not target.num_noise:
         return theta
-    r = target.residual(target.predict(theta))
-    squares = torch.stack([(r[..., target.groups == g] ** 2).sum((-1, -2, -3)) for g in range(target.num_noise)], -1)
-    out = theta.clone()
-    out[:, -target.num_noise :] = 0.5 * torch.log(squares / target.per_group)
+    out, r = theta.clone(), target.residual(target.predict(theta))
+    for _ in range(1 if target.colour is None else 12):
+        noise = out[:, -target.num_noise :].requires_grad_()
+        squares = (target.whiten(r, noise) ** 2).sum()
+        share = -0.5 * torch.autograd.grad(squares, noise)[0]
+        out = out.detach()
+        out[:, -target.num_noise :] += 0.5 * torch.log((share / target.per_group).clamp(min=0.05))
     return out
 
 
@@ -124,24 +142,61 @@ def find_modes(target: Target, starts: torch.Tensor, progress: Callable[[int], N
     theta = starts
     horizons = (0.03, 0.1, 0.3, 1.0) if target.num_starts else (1.0,)
     for horizon in horizons:
-        theta = levenberg_marquardt(
-            target, theta, iterations=24 if horizon == 1.0 else 10, horizon=horizon, progress=progress
+        theta = levenberg_marquardt(target, theta, iterations=10, horizon=horizon, progress=progress)
+    # the better half goes on: what has not come near by now ends in side minima
+    cost = target.log_density(settle_noise(target, theta))
+    ahead = torch.argsort(torch.nan_to_num(cost, nan=-torch.inf), descending=True)[: max(1, len(theta) // 2)]
+    for iterations in (8, 6):  # what is left over says how to weigh the channels, and that moves the mode
+        theta[ahead] = levenberg_marquardt(
+            target, settle_noise(target, theta[ahead]), iterations=iterations, progress=progress
         )
     theta = settle_noise(target, theta)
     evaluation = target.evaluate(theta)
     return Modes(theta, torch.nan_to_num(evaluation.log_posterior, nan=-torch.inf), precision_at(target, theta))
 
 
+def refine(target: Target, modes: Modes, keep: int = 4) -> Modes:
+    """Climb again from the best few modes, after the target's noise model has changed."""
+    order = torch.argsort(modes.log_posterior, descending=True)[:keep]
+    theta = modes.theta[order]
+    for _ in range(2):
+        theta = settle_noise(target, levenberg_marquardt(target, theta, iterations=4))
+    log_posterior = modes.log_posterior.clone()
+    log_posterior[order] = torch.nan_to_num(target.log_density(theta), nan=-torch.inf)
+    worst = torch.ones_like(log_posterior, dtype=torch.bool)
+    worst[order] = False
+    # what was not climbed again keeps its distance to the best of what was
+    log_posterior[worst] += log_posterior[order].max() - modes.log_posterior.max()
+    moved, precision = modes.theta.clone(), modes.precision.clone()
+    moved[order], precision[order] = theta, precision_at(target, theta)
+    return Modes(moved, log_posterior, precision)
+
+
 def precision_at(target: Target, theta: torch.Tensor) -> torch.Tensor:
     """Gauss-Newton precision of the log posterior at [S, D]: J^T J / sigma^2, 2 N for log noise, and the prior's."""
     _, derivative = target.linearise(theta)
-    noise = target.split(theta)[2] if target.num_noise else target.log_noise0.expand(len(theta), -1)
-    sigma = noise.exp()[:, target.groups]
-    rows = (jacobian_rows(target, derivative) * (target.weight / sigma[:, None, None])[..., None]).flatten(1, 3)
+    weighed = jacobian_rows(target, derivative) * target.weight[..., None]
+    rows = _white_rows(target, weighed, _noise(target, theta))
     full = theta.new_zeros(len(theta), target.num_dims, target.num_dims)
     free = target.num_parameters + target.num_starts
+    if target.loss == "published":
+        rows = _published_rows(target, theta, derivative)
     full[:, :free, :free] = rows.transpose(1, 2) @ rows
     for g in range(target.num_noise):
         full[:, free + g, free + g] = 2.0 * target.per_group[g]
     # a floor of one e-fold on what the data do not determine, so that no particle is thrown across decades
     return full + torch.eye(target.num_dims, dtype=torch.float64, device=theta.device)
+
+
+def _published_rows(target: Target, theta: torch.Tensor, derivative: torch.Tensor) -> torch.Tensor:
+    """Rows whose squares are the curvature of the published loss, |J dx|^2 / (kT |r|) a recording and kind.
+
+    At an exact fit the loss is a cone; its typical radius, D kT, stands in for |r| there.
+    """
+    r = target.residual(target.predict(theta))
+    rows = jacobian_rows(target, derivative).permute(0, 4, 1, 2, 3) * target.weight
+    for g in target.groups.unique():
+        own = target.groups == g
+        size = (r[..., own] ** 2).sum((-1, -2)).sqrt().clamp(min=target.num_dims * target.temperature)
+        rows[..., own] /= (target.temperature * size).sqrt()[:, None, :, None, None]
+    return rows.flatten(2).transpose(1, 2)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -16,21 +15,24 @@ import torch
 from .. import __version__
 from ..sim.errors import InputError
 from ..sim.files import output_folder
-from ..sim.host import describe
 from ..sim.tree import Array
 from .case import BranchCase, JointCase, load_case
-from .figures import convergence_figure, loop_figure, posterior_figure, prediction_figure, residual_figure
-from .noise import NoiseEstimate, estimate_noise
+from .checkpoint import Checkpoint, digest
+from .equation_error import noise_of, recordings_of, thinned
+from .noise import NoiseEstimate
+from .plant_branch import Joints, Kind, Unknowns
+from .plants import plant_of
 from .posterior import Posterior, infer
-from .predict import Prediction, main_channels, predict
-from .report import KeyNumber, ParameterRow, ReportContent, ReportFigure, write_report
-from .rollout import Recording, recordings
-from .target import Target
+from .predict import Prediction, pooled, predict
+from .priors import make_prior
+from .rollout import Recording
+from .target import Loss, Target
+from .threads import one_thread
 
 Progress = Callable[[str, int], None]
-
-#: A misfit above this many times the noise is more than noise.
-TOLERANCE = 1.3
+#: No sensor on a branch is taken for finer than this share of what it reads; exact data would rank rounding errors.
+FINEST = 1e-4
+Method = Literal["svgd", "nnsvgd", "mh", "sgld", "sghmc", "emcee"]
 
 
 @dataclass(frozen=True)
@@ -38,20 +40,72 @@ class Settings:
     """How to identify.
 
     Attributes:
-        particles: Particles of SVGD.
-        iterations: Updates of SVGD.
+        particles: Particles of SVGD, chains of the other samplers.
+        iterations: Updates of the sampler.
         seed: Of every random number used.
+        method: Sampler; ``nnsvgd`` is SVGD with the inequality prior.
+        prior: What is known beforehand, see `priors.make_prior`; the box always holds.
+        joints, infer, shared, box: Of a branch, what is unknown, see `plant_branch.Unknowns`.
+        cv: Folds of a cross-validation over the trajectories; 0 holds some out once.
+        loss: Likelihood, see `Target`.
+        temperature: Of the published loss, kT.
     """
 
     particles: int = 64
-    iterations: int = 60
+    iterations: int = 24
     seed: int = 0
+    method: Method = "svgd"
+    prior: tuple[str, ...] = ()
+    joints: Joints = "spherical"
+    infer: tuple[Kind, ...] = ("stiffness", "damping")
+    shared: tuple[Kind, ...] = ()
+    box: tuple[str, ...] = ()
+    cv: int = 0
+    loss: Loss = "gaussian"
+    temperature: float = 0.01
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """What is unknown."""
+        return Unknowns(self.joints, self.infer, self.shared, self.box)
+
+    @property
+    def priors(self) -> tuple[str, ...]:
+        """Priors, the one that the method brings included."""
+        extra = ("inequality",) if self.method == "nnsvgd" and "inequality" not in self.prior else ()
+        return (*self.prior, *extra)
+
+    @property
+    def sampler(self) -> str:
+        """Name of the sampler."""
+        return "svgd" if self.method == "nnsvgd" else self.method
+
+    @property
+    def trainings(self) -> int:
+        """How often a posterior is inferred."""
+        return self.cv + 1
 
     def check(self) -> None:
         """Raise `InputError` for numbers that cannot be."""
-        for name, low in (("particles", 8), ("iterations", 10)):
+        for name, low in (("particles", 8), ("iterations", 10), ("seed", 0)):
             if getattr(self, name) < low:
                 raise InputError("identify", f"--{name}", str(getattr(self, name)), f"{low} or more")
+        if self.cv < 0 or self.cv == 1:
+            raise InputError("identify", "--cv", str(self.cv), "2 or more folds, or 0 for none")
+        if not 0.0 < self.temperature < np.inf:
+            raise InputError("identify", "--temperature", f"{self.temperature:g}", "a number above 0")
+        for name, kinds in (("infer", self.infer), ("shared", self.shared)):
+            if len(set(kinds)) < len(kinds) or (name == "infer" and not kinds):
+                allowed = f"one or more of {', '.join(get_args(Kind))}, each once"
+                raise InputError("identify", f"--{name}", " ".join(kinds) or "nothing", allowed)
+        for kind in self.shared:
+            if kind not in self.infer:
+                raise InputError("identify", "--shared", kind, f"one of what is inferred: {', '.join(self.infer)}")
+
+
+def default_iterations(method: Method) -> int:
+    """Return how many updates a sampler usually needs from the modes: chains must forget their start and mix."""
+    return {"svgd": 24, "nnsvgd": 24, "mh": 4000, "sgld": 1500, "sghmc": 1200, "emcee": 6000}[method]
 
 
 @dataclass
@@ -59,8 +113,9 @@ class Outcome:
     """Everything a report is made of.
 
     Attributes:
-        train, test: Indices of the trajectories learnt from and held out.
+        train, test: Indices of the trajectories learnt from and held out; with folds all of them are both.
         seconds: Wall time of each stage.
+        world_steps: World-steps simulated for learning.
     """
 
     case: BranchCase | JointCase
@@ -71,7 +126,7 @@ class Outcome:
     test: list[int]
     posterior: Posterior
     prediction: Prediction
-    world_steps: int
+    world_steps: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -105,222 +160,197 @@ def split(case: BranchCase | JointCase) -> tuple[list[int], list[int]]:
     return [i for i in range(count) if i not in held], held
 
 
+def folds(case: BranchCase | JointCase, count: int) -> list[list[int]]:
+    """Return the held-out trajectories of every fold; replicates of one experiment stay together.
+
+    Raises:
+        InputError: There are fewer experiments than folds.
+    """
+    groups: dict[int, list[int]] = {}
+    for i, t in enumerate(case.trajectories):
+        groups.setdefault(i if t.replicate_of is None else t.replicate_of, []).append(i)
+    if len(groups) < count:
+        found = f"{len(groups)} different ones"
+        raise InputError(
+            case.folder / "meta.yaml", "trajectories", found, f"at least as many as the {count} folds of --cv"
+        )
+    ordered = list(groups.values())
+    return [sorted(i for g in ordered[k::count] for i in g) for k in range(count)]
+
+
 def pooled_sigma(case: BranchCase | JointCase, noise: NoiseEstimate) -> Array:
-    """Return the noise of the channels that are predicted.
+    """Return the noise of the channels that are predicted, at least `FINEST` of their rms.
 
     The axes of a branch share one value a kind; across the plane of a planar case it is zero.
     """
     if isinstance(case, BranchCase):
-        axes = np.array([1.0, 0.0 if case.planar else 1.0, 1.0])
-        pooled = [np.sqrt(np.sum(axes * v**2) / axes.sum()) for v in (noise.displacement, noise.velocity)]
-        return np.concatenate([axes * s for s in pooled])
+        moved = [np.concatenate([getattr(t, k) for t in case.trajectories]) for k in ("displacement", "velocity")]
+        sigma = (noise.displacement, noise.velocity)
+        return np.concatenate([_pool(case, s, m) for s, m in zip(sigma, moved, strict=True)])
     return noise.sigma
 
 
-def run(case: BranchCase | JointCase, settings: Settings, progress: Progress = lambda stage, done: None) -> Outcome:
-    """Identify a loaded case and predict its held-out trajectories."""
-    settings.check()
+def force_noise(case: BranchCase | JointCase, noise: NoiseEstimate) -> Array | None:
+    """Return the noise of a branch's force [N], shape [3], one value for all axes; None for joints."""
+    if not isinstance(case, BranchCase):
+        return None
+    return _pool(case, noise.force, np.concatenate([t.force for t in case.trajectories]))
+
+
+def _pool(case: BranchCase, sigma: Array, measured: Array) -> Array:
+    axes = np.array([1.0, 0.0 if case.planar else 1.0, 1.0])
+
+    def rms(squares: Array) -> float:
+        return float(np.sqrt(np.sum(axes * squares) / axes.sum()))
+
+    return np.asarray(axes * max(rms(sigma**2), FINEST * rms(np.mean(measured**2, axis=0))))
+
+
+class Identification:
+    """A loaded case with its settings, from which posteriors and predictions are made.
+
+    Args:
+        case: The case.
+        settings: How to identify.
+        checkpoint: Where to keep what has been reached.
+        progress: Called with a stage (``modes``, ``particles``, ``prediction``) and the number of steps done.
+
+    Raises:
+        InputError: The settings do not fit the case, or a trajectory cannot be used.
+    """
+
+    def __init__(
+        self, case: BranchCase | JointCase, settings: Settings, checkpoint: Checkpoint | None = None,
+        progress: Progress = lambda stage, done: None,
+    ) -> None:  # fmt: skip
+        settings.check()
+        self.case, self.settings, self.keep, self.progress = case, settings, checkpoint or Checkpoint(), progress
+        self.noise = noise_of(case)
+        self.sigma, self.force_sigma = pooled_sigma(case, self.noise), force_noise(case, self.noise)
+        self.prior = make_prior(settings.priors, plant_of(case, settings.unknowns))
+        self.recordings: list[Recording] = recordings_of(case)
+        self.world_steps, self.simulating = 0, 0.0
+        for j in range(len(self.recordings)):
+            _check_moves(case, j, self.recordings[j])
+
+    def learn(self, train: list[int], name: str) -> Posterior:
+        """Infer the posterior of some trajectories."""
+        s = self.settings
+        chosen = [thinned(self.case, self.recordings[j]) for j in train]
+        target = Target(
+            self.case, chosen, torch.as_tensor(self.sigma), unknowns=s.unknowns, prior=self.prior, loss=s.loss,
+            temperature=s.temperature,
+        )  # fmt: skip
+        posterior = infer(
+            target, method=s.sampler, particles=s.particles, iterations=s.iterations, seed=s.seed,
+            force_sigma=self.force_sigma, checkpoint=self.keep, name=name, progress=self.progress,
+        )  # fmt: skip
+        _check_box(self.case, posterior)
+        self.world_steps += target.world_steps
+        self.simulating += target.simulation_seconds
+        return posterior
+
+    def predict(self, posterior: Posterior, test: list[int]) -> Prediction:
+        """Predict some trajectories."""
+        out = predict(
+            self.case, posterior, [self.recordings[j] for j in test], torch.as_tensor(self.sigma),
+            unknowns=self.settings.unknowns, force_sigma=self.force_sigma,
+        )  # fmt: skip
+        self.progress("prediction", 1)
+        return out
+
+
+def run(
+    case: BranchCase | JointCase, settings: Settings, checkpoint: Checkpoint | None = None,
+    progress: Progress = lambda stage, done: None,
+) -> Outcome:  # fmt: skip
+    """Identify a loaded case and predict its held-out trajectories.
+
+    With folds, every trajectory is predicted from a posterior that has not seen it, and the posterior that is returned
+    has seen all of them.
+
+    Raises:
+        InputError: The settings do not fit the case.
+    """
     clock = time.perf_counter()
-    noise = estimate_noise(case)
-    sigma = pooled_sigma(case, noise)
-    train, test = split(case)
-    every: list[Recording] = recordings(case)
-    for j in train:
-        _check_moves(case, j, every[j])
-    target = Target(case, [every[j] for j in train], torch.as_tensor(sigma))
-    posterior = infer(
-        target, particles=settings.particles, iterations=settings.iterations, seed=settings.seed, progress=progress
+    work = Identification(case, settings, checkpoint, progress)
+    every, parts, predicting = list(range(len(case.trajectories))), [], 0.0
+    held = folds(case, settings.cv) if settings.cv else []
+    for k, test in enumerate(held):
+        posterior = work.learn([j for j in every if j not in test], f"fold_{k}")
+        began = time.perf_counter()
+        parts.append(work.predict(posterior, test))
+        predicting += time.perf_counter() - began
+    train, test = (every, [j for fold in held for j in fold]) if held else split(case)
+    posterior = work.learn(train, "posterior")
+    began = time.perf_counter()
+    prediction = pooled(parts) if held else work.predict(posterior, test)
+    predicting += time.perf_counter() - began
+    total = time.perf_counter() - clock
+    seconds = {
+        "total": total, "simulating": work.simulating, "predicting": predicting,
+        "inference beside simulation": total - work.simulating - predicting,
+    }  # fmt: skip
+    return Outcome(
+        case, settings, work.noise, work.sigma, train, test, posterior, prediction, work.world_steps, seconds
     )
-    learnt = time.perf_counter()
-    prediction = predict(case, posterior, [every[j] for j in test], torch.as_tensor(sigma), seed=settings.seed)
-    progress("prediction", 1)
-    seconds = {"inference": learnt - clock, "prediction": time.perf_counter() - learnt}
-    return Outcome(case, settings, noise, sigma, train, test, posterior, prediction, target.world_steps, seconds)
 
 
 def _check_moves(case: BranchCase | JointCase, j: int, recording: Recording) -> None:
-    still = np.ptp(recording.output, axis=0).max() == 0.0
-    if still:
-        raise InputError(case.folder / case.trajectories[j].file, "", "no motion in any row", "a trajectory that moves")
+    place = case.folder / case.trajectories[j].file
+    if np.ptp(recording.output, axis=0).max() == 0.0:
+        raise InputError(place, "", "no motion in any row", "a trajectory that moves")
+    if isinstance(case, BranchCase) and not recording.input.any():
+        raise InputError(
+            place, "", "no force in any row", "a trajectory with force on the branch, which starts at rest"
+        )
+
+
+def _check_box(case: BranchCase | JointCase, posterior: Posterior) -> None:
+    """Raise `InputError` where all particles lie beyond one end of the prior's box: data and prior contradict."""
+    for p, x in zip(posterior.parameters, posterior.free.T, strict=True):
+        beyond = {p.low: bool((x < p.free(p.low)).all()), p.high: bool((x > p.free(p.high)).all())}
+        for end, all_beyond in beyond.items():
+            if all_beyond:
+                found = f"all particles beyond the end of its box, {end:.4g} {p.unit}"
+                allowed = f"data that agree with the box, or a wider one (--box {p.name.split(' ')[0]}=LOW:HIGH)"
+                raise InputError(case.folder, p.name, found, allowed)
 
 
 def identify(
-    folder: str | Path, out: str | Path, settings: Settings, progress: Progress = lambda s, d: None
-) -> Outcome:
+    folder: str | Path, out: str | Path, settings: Settings, *, resume: bool = False,
+    progress: Progress = lambda s, d: None,
+) -> Outcome:  # fmt: skip
     """Identify the case in ``folder`` and write posterior, report and figures into ``out``.
+
+    What has been reached is kept in a hidden folder beside ``out`` until the run ends, so that ``resume`` goes on with
+    a killed one to the same bits (on one machine's CPU).
 
     Raises:
         InputError: The case or the settings cannot be used; nothing is written then.
     """
-    with output_folder(out) as work:
-        outcome = run(load_case(folder), settings, progress)
+    from .identify_report import content, summary
+    from .report import write_report
+
+    target = Path(out)
+    with output_folder(target) as work:
+        case = load_case(folder)
+        settings.check()
+        keep = Checkpoint(target.absolute().parent / f".{target.name}.unfinished", _key(case, settings))
+        keep.open(resume)
+        try:
+            with one_thread():
+                outcome = run(case, settings, keep, progress)
+        except InputError:
+            keep.close()
+            raise
         outcome.posterior.save(work / "posterior.npz")
         (work / "report.json").write_text(json.dumps(summary(outcome), indent=2) + "\n")
         write_report(work, content(outcome))
+    keep.close()
     return outcome
 
 
-# ---- what is said --------------------------------------------------------------------------------------------------
-
-
-def unit_of(case: BranchCase | JointCase) -> str:
-    """Return the unit of the main channels: ``m`` or ``rad`` and their rates."""
-    if isinstance(case, BranchCase):
-        return "m"
-    output = case.outputs[0]
-    joint = next(j for j in case.joints if j.name == output.joint)
-    base = "rad" if joint.type == "revolute" else "m"
-    return {"position": base, "velocity": f"{base}_per_s", "acceleration": f"{base}_per_s2"}[output.quantity]
-
-
-def summary(outcome: Outcome) -> dict[str, Any]:
-    """Return what ``report.json`` holds: scores on the held-out trajectories and every parameter's interval."""
-    unit, p = unit_of(outcome.case), outcome.prediction
-    scores = {"interval_95_width": p.width, "rms_misfit": p.rms, "noise_floor": outcome.noise_floor}
-    middle, low, high = outcome.posterior.interval()
-    out: dict[str, Any] = {
-        "case": outcome.case.name,
-        "coverage_95": p.coverage,
-        **{f"{name}_{unit}": value for name, value in scores.items()},
-        "misfit_over_noise": outcome.ratio,
-        "unit": unit,
-        "parameters": {
-            name: {"median": float(m), "low": float(a), "high": float(b), "unit": u}
-            for name, m, a, b, u in zip(
-                outcome.posterior.names, middle, low, high, outcome.posterior.units, strict=True
-            )
-        },
-        "trajectories": {
-            "train": [j + 1 for j in outcome.train],
-            "test": [j + 1 for j in outcome.test],
-            f"rms_misfit_{unit}": [float(np.sqrt(np.mean(r[:, list(p.main)] ** 2))) for r in p.residual],
-        },
-        "starts_that_agree": outcome.posterior.agreement,
-        "particle_drift": outcome.posterior.drift,
-        "world_steps": outcome.world_steps,
-        "seconds": outcome.seconds,
-        "settings": asdict(outcome.settings),
-        "version": __version__,
-        "machine": describe(),
-    }
-    if unit == "rad":
-        out |= {f"{name}_deg": math.degrees(value) for name, value in scores.items()}
-    return out
-
-
-def _shown(outcome: Outcome) -> tuple[float, str]:
-    """Scale and unit that people read: centimetres for a branch, degrees for angles."""
-    if isinstance(outcome.case, BranchCase):
-        return 100.0, "cm"
-    unit = unit_of(outcome.case)
-    return (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit.replace("_per_", "/"))
-
-
-def headline(outcome: Outcome) -> tuple[str, str]:
-    """Return the verdict in a sentence, and good, warning or bad."""
-    p, (scale, unit) = outcome.prediction, _shown(outcome)
-    rms, floor = f"{scale * p.rms:.3g} {unit}", f"{scale * outcome.noise_floor:.3g} {unit}"
-    if outcome.ratio <= TOLERANCE:
-        return f"The model explains the held-out motion to within the noise: misfit {rms}, noise {floor}.", "good"
-    agree = outcome.posterior.agreement >= 0.25
-    why = (
-        f"this is no failure of the fit ({outcome.posterior.agreement:.0%} of the independent starts ended at the same "
-        "optimum): the model lacks something that the measurement contains"
-        if agree
-        else "and few starts agree on an optimum, so the fit itself may be at fault"
-    )
-    return (
-        f"The held-out misfit is {outcome.ratio:.1f} times the noise ({rms} against {floor}); {why}.",
-        "warning" if agree else "bad",
-    )
-
-
-def content(outcome: Outcome) -> ReportContent:
-    """Return what the report page shows."""
-    text, status = headline(outcome)
-    p, (scale, unit) = outcome.prediction, _shown(outcome)
-    middle, low, high = outcome.posterior.interval()
-    rows = zip(outcome.posterior.names, middle, low, high, outcome.posterior.units, strict=True)
-    numbers = [
-        KeyNumber("Held-out misfit", scale * p.rms, unit, "Root mean square of measured minus predicted."),
-        KeyNumber("Noise", scale * outcome.noise_floor, unit, "What a perfect model would leave, from the data alone."),
-        KeyNumber("Misfit / noise", outcome.ratio, "", f"Above {TOLERANCE} the model lacks something."),
-        KeyNumber("95 % interval covers", 100 * p.coverage, "%", "Share of held-out points inside; 95 is ideal."),
-        KeyNumber("Width of the interval", scale * p.width, unit, "Mean over held-out points, noise included."),
-    ]
-    s = outcome.settings
-    return ReportContent(
-        title=f"Identification of {outcome.case.name}",
-        headline=text,
-        status=status,  # type: ignore[arg-type]
-        numbers=numbers,
-        parameters=[ParameterRow(n, float(m), float(a), float(b), u) for n, m, a, b, u in rows],
-        figures=_figures(outcome, scale, unit),
-        details={
-            "trajectories learnt from": ", ".join(outcome.case.trajectories[j].file for j in outcome.train),
-            "trajectories held out": ", ".join(outcome.case.trajectories[j].file for j in outcome.test),
-            "method": "Levenberg-Marquardt from 16 starts, then SVGD in whitened coordinates; Gaussian likelihood with "
-            "inferred noise; smooth box prior on logarithms",
-            "particles": s.particles,
-            "iterations": s.iterations,
-            "seed": s.seed,
-            "starts that agree": f"{outcome.posterior.agreement:.0%}",
-            "drift of the particles": f"{outcome.posterior.drift:.3f} posterior deviations over the last tenth",
-            "world-steps": f"{outcome.world_steps:,}",
-            "seconds": ", ".join(f"{k} {v:.1f}" for k, v in outcome.seconds.items()),
-            "bough": __version__,
-            **describe(),
-            **{f"note {i + 1}": w for i, w in enumerate(outcome.case.warnings)},
-        },
-        further=[
-            ("posterior.npz", "the particles, for your own code"),
-            ("report.json", "every number on this page"),
-        ],
-    )
-
-
-def _figures(outcome: Outcome, scale: float, unit: str) -> list[ReportFigure]:
-    case, p = outcome.case, outcome.prediction
-    main = list(main_channels(case))
-    shown = ["xyz"[c] if isinstance(case, BranchCase) else case.outputs[c].joint for c in main]
-    labels = [f"{name} [{unit}]" for name in shown]
-    titles = [f"{case.trajectories[j].file}" for j in outcome.test]
-    scaled = {k: [scale * a[:, main] for a in getattr(p, k)] for k in ("measured", "median", "low", "high", "residual")}
-    names = [f"{n} [{u}]" for n, u in zip(outcome.posterior.names, outcome.posterior.units, strict=True)]
-    out = [
-        ReportFigure(
-            "prediction.png",
-            prediction_figure(p.t, scaled["measured"], scaled["median"], scaled["low"], scaled["high"],
-                              titles=titles, labels=labels),
-            "Held-out trajectories: measured points, the model's prediction and its 95 % band.",
-        ),
-        ReportFigure(
-            "residual.png",
-            residual_figure(p.t, scaled["residual"], scale * outcome.sigma[main], label=f"residual [{unit}]"),
-            "What the model leaves over, against the noise: mere noise fills the green band and has no memory.",
-        ),
-    ]  # fmt: skip
-    if isinstance(case, BranchCase):
-        force = [case.trajectories[j].force for j in outcome.test]
-        out.append(
-            ReportFigure(
-                "loops.png",
-                loop_figure(force, [m[:, :3] for m in p.measured], [m[:, :3] for m in p.median], titles=titles),
-                "Force against displacement: the slope is stiffness, the area inside a loop is energy lost.",
-            )
-        )
-    out.append(
-        ReportFigure(
-            "posterior.png", posterior_figure(outcome.posterior.particles, names),
-            "Particles of the posterior: what the data say about every parameter, and which they confuse.",
-        )
-    )  # fmt: skip
-    out.append(
-        ReportFigure(
-            "convergence.png",
-            convergence_figure(outcome.posterior.trace_log_posterior, scale * outcome.posterior.trace_misfit,
-                               scale * outcome.noise_floor, misfit_label=f"rms misfit [{unit}]"),
-            "How the particles settled.",
-        )
-    )  # fmt: skip
-    return out
+def _key(case: BranchCase | JointCase, settings: Settings) -> str:
+    earlier = [Path(p).read_bytes() for p in settings.prior if p.endswith(".npz") and Path(p).is_file()]
+    return digest(case.folder, settings, earlier, __version__)

@@ -1,19 +1,28 @@
-"""From a target to particles: modes first, then SVGD in coordinates whitened at the best of them."""
+"""From a target to particles: modes first, then a sampler in coordinates whitened at the best of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
+from ..sim.errors import InputError
 from ..sim.tree import Array
-from .fit import Modes, find_modes
-from .plant import box_of
-from .svgd import svgd
+from .case import BranchCase
+from .checkpoint import Checkpoint
+from .diagnostics import Convergence, converged
+from .fit import Modes, find_modes, refine
+from .input_noise import input_colour
+from .plant import Parameter, free_of
+from .plant_branch import BranchPlant
+from .samplers import make_sampler
 from .target import Target
+
+Progress = Callable[[str, int], None]
 
 
 @dataclass(frozen=True)
@@ -21,44 +30,63 @@ class Posterior:
     """Particles of a target.
 
     Attributes:
-        names, units: Of the n parameters.
-        particles: Parameters in SI units, shape [P, n].
+        parameters: The n unknowns.
+        particles: Their values in SI units, shape [P, n].
         theta: The target's own vectors, shape [P, D].
         noise: Inferred noise of every channel, shape [P, C].
         log_posterior: Up to a constant, shape [P].
-        trace_log_posterior, trace_misfit: Of every particle at every iteration, shape [I, P].
+        trace_log_posterior: Of every particle (or chain) at every iteration, shape [I, P].
+        trace_mean: Mean of the particles at every iteration, in posterior deviations from the best mode, shape [I, D].
         agreement: Share of starts that ended within 3 of the best log posterior.
-        drift: Largest change of a parameter's mean over the last tenth of the iterations, in posterior deviations.
+        convergence: Whether the sampler converged, why, and the numbers behind it.
+        geometry: What a branch's springs refer to: ``segment_name``, ``segment_length_m``, ``segment_radius_m``.
     """
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
     particles: Array
     theta: torch.Tensor
     noise: Array
     log_posterior: Array
     trace_log_posterior: Array
-    trace_misfit: Array
+    trace_mean: Array
     agreement: float
-    drift: float
+    convergence: Convergence
+    geometry: dict[str, Array]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI units of the unknowns."""
+        return tuple(p.unit for p in self.parameters)
+
+    @property
+    def free(self) -> torch.Tensor:
+        """Free coordinates of the particles, shape [P, n]."""
+        return free_of(self.parameters, torch.as_tensor(self.particles))
 
     def interval(self) -> tuple[Array, Array, Array]:
-        """Return median, lower and upper end of every parameter's 95 % interval, by a normal fit to its logarithm."""
-        logs = np.log(self.particles)
-        mean, spread = logs.mean(0), logs.std(0, ddof=1)
-        return np.exp(mean), np.exp(mean - 1.96 * spread), np.exp(mean + 1.96 * spread)
+        """Return median and ends of every parameter's 95 % interval, by a normal fit to its free coordinate."""
+        mean, spread = self.free.mean(0), self.free.std(0)
+        ends = (mean, mean - 1.96 * spread, mean + 1.96 * spread)
+        log = np.array([p.scale == "log" for p in self.parameters])
+        low, middle, high = ends[1].numpy(), mean.numpy(), ends[2].numpy()
+        return tuple(np.where(log, np.exp(np.where(log, x, 0.0)), x) for x in (middle, low, high))  # type: ignore[return-value]
 
     def save(self, path: Path) -> None:
-        """Write ``posterior.npz``: names, units, particles [P, n], noise [P, C], log_posterior [P]."""
+        """Write ``posterior.npz``: names, units, particles [P, n], noise [P, C], log_posterior [P] and the geometry."""
         np.savez(path, names=np.array(self.names), units=np.array(self.units), particles=self.particles,
-                 noise=self.noise, log_posterior=self.log_posterior)  # fmt: skip
+                 noise=self.noise, log_posterior=self.log_posterior, **self.geometry)  # type: ignore[arg-type] # fmt: skip
 
 
 def initial_vectors(target: Target, count: int, generator: torch.Generator) -> torch.Tensor:
-    """Return start vectors [S, D]: the plant's typical values, scattered, and the recordings' guessed start states."""
+    """Return start vectors [S, D]: the parameters' typical values, scattered, and the recordings' guessed starts."""
     n = target.num_parameters
-    typical = torch.as_tensor(target.plant.typical).log()
-    low, high = box_of(target.plant.parameters)
+    typical = torch.tensor([p.start for p in target.plant.parameters], dtype=torch.float64)
+    low, high = (end.cpu() for end in target.box)
     scatter = torch.randn(count, n, generator=generator, dtype=torch.float64) * ((high - low) / 8.0).clamp(max=2.0)
     # half of the starts scale all parameters together: the overall size is the least known
     together = torch.randn(count, 1, generator=generator, dtype=torch.float64) * ((high - low) / 8.0).clamp(max=1.5)
@@ -71,76 +99,179 @@ def initial_vectors(target: Target, count: int, generator: torch.Generator) -> t
     return torch.cat(rows, 1)
 
 
+class Whitened:
+    """A target's density in coordinates z = L^T (theta - centre), L L^T the precision at the centre.
+
+    A `samplers.Density`. NaN where a world did not survive.
+    """
+
+    def __init__(self, target: Target, centre: torch.Tensor, precision: torch.Tensor) -> None:
+        self.target, self.centre = target, centre
+        self.factor = torch.linalg.cholesky(precision)
+
+    def theta(self, z: torch.Tensor) -> torch.Tensor:
+        """Return the target's vectors [..., D] of z."""
+        return self.centre + torch.linalg.solve_triangular(
+            self.factor.T, z.reshape(-1, z.shape[-1]).T, upper=True
+        ).T.reshape(z.shape)
+
+    def z(self, theta: torch.Tensor) -> torch.Tensor:
+        """Return z [..., D] of the target's vectors."""
+        return (theta - self.centre) @ self.factor
+
+    def evaluate(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return log density [P] and gradient [P, D]."""
+        e = self.target.evaluate(self.theta(z))
+        return e.log_posterior, torch.linalg.solve_triangular(self.factor, e.gradient.T, upper=False).T
+
+    def log_density(self, z: torch.Tensor) -> torch.Tensor:
+        """Return the log density [P]."""
+        return self.target.log_density(self.theta(z))
+
+
 def infer(
     target: Target,
     *,
+    method: str = "svgd",
     particles: int,
     iterations: int,
     seed: int,
     starts: int = 16,
-    progress: Callable[[str, int], None] = lambda stage, done: None,
+    force_sigma: Array | None = None,
+    checkpoint: Checkpoint | None = None,
+    name: str = "posterior",
+    progress: Progress = lambda stage, done: None,
 ) -> Posterior:
     """Infer a target's posterior.
 
     Args:
         target: What to infer.
-        particles: Number of particles P.
-        iterations: SVGD updates.
+        method: Sampler, see `samplers.make_sampler`.
+        particles: Number of particles, or of chains.
+        iterations: Updates of the sampler.
         seed: Of every random number used.
         starts: Starts of the search for modes.
+        force_sigma: Noise of a branch's force [N], shape [3], to be seen through the model; None takes it for exact.
+        checkpoint: Where to keep what has been reached.
+        name: Of this inference in the checkpoint.
         progress: Called with a stage (``modes`` or ``particles``) and the number of steps done.
+
+    Raises:
+        InputError: There are too few particles for the unknowns.
     """
-    generator = torch.Generator().manual_seed(seed)
-    modes = find_modes(target, initial_vectors(target, starts, generator), lambda k: progress("modes", k))
+    if particles < 2 * target.num_dims:
+        found, allowed = (
+            str(particles),
+            f"{2 * target.num_dims} or more: two for each of the {target.num_dims} unknowns",
+        )
+        raise InputError("identify", "--particles", found, f"{allowed}, noise and start states counted")
+    keep = checkpoint or Checkpoint()
+    modes = _modes(target, seed, starts, force_sigma, keep, name, progress)
     best = int(modes.log_posterior.argmax())
-    whitener = torch.linalg.cholesky(modes.precision[best])
-    x = _spread(modes, whitener, particles, generator)
-    centre = modes.theta[best]
-    trace_p, trace_m, means = [], [], []
-
-    def density(z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        theta = centre + torch.linalg.solve_triangular(whitener.T, z.T, upper=True).T
-        e = target.evaluate(theta)
-        trace_p.append(e.log_posterior.cpu().numpy())
-        squares = (target.residual(e.prediction)[..., target.groups == 0] ** 2).sum((-1, -2, -3))
-        trace_m.append((squares / target.per_group[0]).sqrt().cpu().numpy())
-        return e.log_posterior, torch.linalg.solve_triangular(whitener, e.gradient.T, upper=False).T
-
-    z = (x - centre) @ whitener
-    for iteration in svgd(density, z, iterations=iterations, kernel="coordinate"):
-        z = iteration.particles
-        means.append(z.mean(0))
+    density = Whitened(target, modes.theta[best], modes.precision[best])
+    generator = torch.Generator().manual_seed(seed + 1)
+    first = density.z(spread(modes, particles, generator))
+    sampler = make_sampler(method, first, iterations=iterations, seed=seed)
+    trace_z, trace_p = _gone(sampler, keep.load(f"{name}.sampler"))
+    progress("particles", len(trace_z))
+    for _ in range(len(trace_z), iterations):
+        trace_z.append(sampler.step(density).clone())
+        trace_p.append(sampler.log_density.clone())
         progress("particles", 1)
-    theta = centre + torch.linalg.solve_triangular(whitener.T, z.T, upper=True).T
-    tail = torch.stack(means[-max(2, iterations // 10) :])
-    return _posterior(
-        target, theta, modes, np.array(trace_p), np.array(trace_m), float((tail[-1] - tail[0]).abs().max())
-    )
+        if keep.due(f"{name}.sampler"):
+            state = {"sampler": sampler.state(), "z": torch.stack(trace_z), "p": torch.stack(trace_p)}
+            keep.save(f"{name}.sampler", state)
+    return _posterior(target, density, sampler, modes, torch.stack(trace_z), torch.stack(trace_p), particles)
 
 
-def _spread(modes: Modes, whitener: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:
-    """Place particles about the modes in proportion to their posterior, a little wider than they will end."""
-    share = torch.softmax(modes.log_posterior, 0)
-    chosen = torch.multinomial(share.cpu(), count, replacement=True, generator=generator)
-    z = torch.randn(count, whitener.shape[0], generator=generator, dtype=torch.float64).to(whitener.device) * 1.2
-    return modes.theta[chosen] + torch.linalg.solve_triangular(whitener.T, z.T, upper=True).T
+def _modes(
+    target: Target, seed: int, starts: int, force_sigma: Array | None, keep: Checkpoint, name: str, progress: Progress
+) -> Modes:
+    """Find the modes, then again with the force's noise seen through the model at the best of them."""
+    done = keep.load(f"{name}.modes")
+    if done is None:
+        generator = torch.Generator().manual_seed(seed)
+        modes = find_modes(target, initial_vectors(target, starts, generator), lambda k: progress("modes", k))
+    else:
+        modes = Modes(**{f.name: done[f.name] for f in fields(Modes)})
+    centre = modes.theta[int(modes.log_posterior.argmax())]
+    coloured = isinstance(target.case, BranchCase) and force_sigma is not None and target.loss == "gaussian"
+    if coloured and float(np.max(force_sigma)) > 0.0:  # type: ignore[arg-type]
+        values = target.values(target.split(centre[None])[0])[0]
+        sigma = torch.where(target.weight.amax((0, 1)) > 0, target.sigma0, 0.0)
+        target.colour = input_colour(
+            target.case, target.recordings, values, force_sigma, sigma, unknowns=target.unknowns, device=target.device  # type: ignore[arg-type]
+        )  # fmt: skip
+    if done is None:
+        keep.save(f"{name}.modes", {f.name: getattr(modes, f.name) for f in fields(Modes)})
+    return refine(target, modes) if target.colour is not None else modes
+
+
+def spread(modes: Modes, count: int, generator: torch.Generator) -> torch.Tensor:
+    """Place particles about the modes in proportion to their Laplace evidence, a little wider than they will end.
+
+    Starts that ended at the same mode (within three of its deviations) count once.
+    """
+    order = torch.argsort(modes.log_posterior, descending=True).tolist()
+    distinct: list[int] = []
+    for i in order:
+        apart = [
+            (modes.theta[i] - modes.theta[j]) @ modes.precision[j] @ (modes.theta[i] - modes.theta[j]) for j in distinct
+        ]
+        if torch.isfinite(modes.log_posterior[i]) and all(a > 9.0 for a in apart):
+            distinct.append(i)
+    evidence = modes.log_posterior[distinct] - 0.5 * torch.logdet(modes.precision[distinct])
+    chosen = torch.multinomial(torch.softmax(evidence, 0).cpu(), count, replacement=True, generator=generator)
+    factor = torch.linalg.cholesky(modes.precision[distinct])[chosen]
+    z = torch.randn(count, factor.shape[-1], generator=generator, dtype=torch.float64).to(factor.device) * 1.2
+    off = torch.linalg.solve_triangular(factor.transpose(1, 2), z[..., None], upper=True)[..., 0]
+    return modes.theta[torch.tensor(distinct)[chosen]] + off
+
+
+def _gone(sampler: Any, state: dict[str, Any] | None) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+    """Bring a sampler to where a checkpoint left it; return the traces so far."""
+    if state is None:
+        return [], []
+    sampler.load(state["sampler"])
+    return list(state["z"]), list(state["p"])
 
 
 def _posterior(
-    target: Target, theta: torch.Tensor, modes: Modes, trace_p: Array, trace_m: Array, drift: float
+    target: Target, density: Whitened, sampler: Any, modes: Modes, z: torch.Tensor, p: torch.Tensor, particles: int
 ) -> Posterior:
+    last = z[-1]
+    verdict = converged(z, chain=sampler.chain, gradient=sampler.gradient)
+    drawn, log_p = (last, p[-1]) if not sampler.chain else _thinned(z, p, 4 * particles)
+    theta = density.theta(drawn)
     u, _, noise = target.split(theta)
     sigma = noise.exp() if target.num_noise else target.log_noise0.exp().expand(len(theta), -1)
     best = modes.log_posterior.max()
+    plant = target.plant
     return Posterior(
-        names=tuple(p.name for p in target.plant.parameters),
-        units=tuple(p.unit for p in target.plant.parameters),
-        particles=u.exp().cpu().numpy(),
+        parameters=tuple(plant.parameters),
+        particles=target.values(u).cpu().numpy(),
         theta=theta,
-        noise=sigma[:, target.groups].cpu().numpy(),
-        log_posterior=trace_p[-1],
-        trace_log_posterior=trace_p,
-        trace_misfit=trace_m,
+        noise=(sigma[:, target.groups] * (target.weight.amax((0, 1)) > 0)).cpu().numpy(),
+        log_posterior=log_p.cpu().numpy(),
+        trace_log_posterior=p.cpu().numpy(),
+        trace_mean=z.mean(1).cpu().numpy(),
         agreement=float((modes.log_posterior > best - 3.0).double().mean()),
-        drift=drift,
+        convergence=verdict,
+        geometry=_geometry(plant.branch) if isinstance(plant, BranchPlant) else {},
     )
+
+
+def _thinned(z: torch.Tensor, p: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """At most ``count`` draws, evenly from the second half of all chains."""
+    half = len(z) // 2
+    flat, log_p = z[half:].flatten(0, 1), p[half:].flatten()
+    picked = torch.linspace(0, len(flat) - 1, min(count, len(flat)), device=z.device).round().long()
+    return flat[picked], log_p[picked]
+
+
+def _geometry(branch: Any) -> dict[str, Array]:
+    return {
+        "segment_name": np.array(branch.segment_name),
+        "segment_length_m": np.asarray(branch.length),
+        "segment_radius_m": np.asarray(branch.radius),
+    }

@@ -1,4 +1,7 @@
-"""Priors over vectors of logarithms of parameters: small differentiable modules that add up."""
+"""Priors over vectors of free coordinates, the logarithms of positive parameters: differentiable modules that add up.
+
+`Product` multiplies densities of one vector, `Blocks` those of its consecutive parts.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,9 @@ class Prior(torch.nn.Module):
 class SmoothBox(Prior):
     """Flat inside a box, with Gaussian tails of width ``sigma`` outside it.
 
-    log p = -d^2 / (2 sigma^2), d the distance to the box. This is the form of GPyTorch's code; thesis eq. 3.13 prints
-    sqrt(2 sigma^2) instead. On logarithms, so that parameters stay positive whatever the box.
+    log p = -d^2 / (2 sigma^2), d the Euclidean distance to the box. Of the two published forms this is that of
+    GPyTorch's code (normal tails); thesis eq. 3.13 prints -d^2 / sqrt(2 sigma^2). Neither stops a negative stiffness:
+    on logarithms parameters stay positive whatever the box.
 
     Args:
         low: Lower ends, shape [n].
@@ -61,6 +65,18 @@ class Normal(Prior):
     def forward(self, theta: torch.Tensor) -> torch.Tensor:
         """Return the log density, shape [...]."""
         return -(((theta - self.mean) / self.sigma) ** 2).sum(-1) / 2.0
+
+
+class Product(Prior):
+    """The product of densities over one and the same vector; of none, the flat one."""
+
+    def __init__(self, priors: Sequence[Prior]) -> None:
+        super().__init__()
+        self.priors = torch.nn.ModuleList(priors)
+
+    def forward(self, theta: torch.Tensor) -> torch.Tensor:
+        """Return the log density, shape [...]."""
+        return sum((p(theta) for p in self.priors), theta.new_zeros(theta.shape[:-1]))
 
 
 class Blocks(Prior):

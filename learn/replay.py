@@ -17,7 +17,7 @@ from ..sim.simulator import Simulator
 from ..sim.trajectory import Trajectory, record
 from ..sim.tree import Array
 from .case import BranchCase
-from .plant import BranchPlant
+from .plant_branch import BranchPlant
 from .rollout import Recording, recordings
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
+from numpy.typing import NDArray
 
 from ..kernels.rollout import rollout_kernels
 from ..sim.arrays import LaneArray
@@ -17,7 +19,8 @@ from ..sim.model import Model
 from ..sim.simulator import Simulator
 from ..sim.tree import Array
 from .case import BranchCase, JointCase
-from .plant import BranchPlant, JointPlant, plant_of
+from .plant_branch import BranchPlant, Unknowns
+from .plants import plant_of
 
 
 @dataclass(frozen=True)
@@ -26,15 +29,19 @@ class Recording:
 
     Attributes:
         t: Times [s], shape [T].
-        input: What acts at the samples: force [N] shape [T, 3], or joint effort in the first column.
+        input: What acts at the samples: force [N] shape [T, 3], or efforts of the driven joints, shape [T, I].
         output: Measured channels, shape [T, C].
         start: Coordinate and rate of the joints at the first sample, shape [J, 2]; empty where it starts at rest.
+        contact: Whether the gripper may hold the branch, so that the force is a measurement, shape [T].
+        grasp: Link that is held and the grasp point in its body frame [m]; None where joints are driven.
     """
 
     t: Array
     input: Array
     output: Array
     start: Array
+    contact: NDArray[np.bool_]
+    grasp: tuple[int, Array] | None = None
 
 
 def recordings(case: BranchCase | JointCase) -> list[Recording]:
@@ -42,16 +49,14 @@ def recordings(case: BranchCase | JointCase) -> list[Recording]:
     if isinstance(case, BranchCase):
         return [
             Recording(t.t, np.where(t.no_contact[:, None], 0.0, t.force), np.hstack([t.displacement, t.velocity]),
-                      np.zeros((0, 2)))
+                      np.zeros((0, 2)), ~t.no_contact, t.grasp)
             for t in case.trajectories
         ]  # fmt: skip
-    out = []
-    for t in case.trajectories:
-        drive = np.zeros((len(t.t), 3))
-        if t.input is not None:
-            drive[:, 0] = t.input
-        out.append(Recording(t.t, drive, t.output, _first_state(case, t.output, t.t)))
-    return out
+    return [
+        Recording(t.t, t.effort, t.output,
+                  _first_state(case, t.output, t.t), np.zeros(len(t.t), dtype=bool))
+        for t in case.trajectories
+    ]  # fmt: skip
 
 
 def _first_state(case: JointCase, output: Array, t: Array) -> Array:
@@ -79,12 +84,14 @@ class Rollout:
         num_locals: Numbers of a start state per recording (two a joint; none for a branch at rest).
         torch_device: Where parameters are taken and channels returned.
         world_steps: World-steps taken so far.
+        seconds: Wall time spent in simulation so far [s].
     """
 
     def __init__(
-        self, case: BranchCase | JointCase, chosen: Sequence[Recording], num_sets: int, *, device: Any = None
-    ) -> None:
-        self.case, self.plant = case, plant_of(case)
+        self, case: BranchCase | JointCase, chosen: Sequence[Recording], num_sets: int, *,
+        unknowns: Unknowns | None = None, device: Any = None,
+    ) -> None:  # fmt: skip
+        self.case, self.plant = case, plant_of(case, unknowns)
         self.recordings = list(chosen)
         self.num_sets, self.num_locals = num_sets, chosen[0].start.size
         self.device = wp.get_device(device)
@@ -96,45 +103,52 @@ class Rollout:
         self.simulator = Simulator(self.model, dt=case.dt, substeps=self.substeps)
         self._samples = np.array([len(r.t) for r in chosen])
         self.torch_device = self.simulator.position.device
-        self.world_steps = 0
+        self.world_steps, self.seconds = 0, 0.0
         self._prepare()
 
     def _prepare(self) -> None:
         m, sim, dev = self.model, self.simulator, self.device
         longest, count = int(self._samples.max()), len(self.recordings)
-        inputs = np.zeros((count, longest, 3))
+        inputs = np.zeros((count, longest, max(1, self.recordings[0].input.shape[1])))
         for j, r in enumerate(self.recordings):
-            inputs[j, : len(r.t)] = r.input
+            inputs[j, : len(r.t), : r.input.shape[1]] = r.input
         trajectory: wp.array = wp.array(np.repeat(np.arange(count), self._blocks), dtype=int, device=dev)
         length: wp.array = wp.array(self._samples, dtype=int, device=dev)
-        drive: wp.array = wp.array(inputs, dtype=wp.vec3d, device=dev)
+        drive: wp.array = wp.array(inputs, dtype=wp.float64, device=dev)
         kernels = rollout_kernels(m.width, m.precision)
         before = [sim._dynamics, sim.state.kernel, sim.load.kernel]
         if isinstance(self.plant, BranchPlant):
-            link, point = self.plant.grasp
-            place = int(m.link_place[link])
-            local = torch.as_tensor(m.links.in_link_frame(link, point), device=self.torch_device)
-            sim.load.point.torch[:, :, place] = local.to(sim.load.point.torch.dtype)
-            self.channels = 6
-            kernel, before = kernels.point, [*before, place, trajectory, length, drive]
+            kernel, before = kernels.point, [*before, self._grasped(), trajectory, length, drive]
         else:
             kernel, before = kernels.joint, [*before, *self._joints(), trajectory, length, drive]
         self._output: LaneArray = m.field("Real", places=longest * self.channels)
         after = [self.substeps, sim.dt / self.substeps, sim.max_speed, self._output.kernel]
         self._replay = sim._launcher.prepare(kernel, before, after)
 
+    def _grasped(self) -> wp.array:
+        """Write every recording's grasp point; return the places of the links that are held."""
+        self.channels, places = 6, []
+        points = self.simulator.load.point.torch.unflatten(0, (len(self.recordings), self._blocks))
+        for j, r in enumerate(self.recordings):
+            assert r.grasp is not None
+            link, point = r.grasp
+            places.append(int(self.model.link_place[link]))
+            local = torch.as_tensor(self.model.links.in_link_frame(link, point), device=points.device)
+            points[j, :, :, places[-1]] = local.to(points.dtype)
+        return wp.array(places, dtype=int, device=self.device)
+
     def _joints(self) -> list[object]:
         plant, case = self.plant, self.case
-        assert isinstance(plant, JointPlant) and isinstance(case, JointCase)
-        names = [j.name for j in plant.joints]
-        place = self.model.link_place
-        driven = int(place[names.index(case.input.joint)]) if case.input else int(place[0])
-        linear = int(case.input is None or case.input.hold == "linear")
-        watched: wp.array = wp.array(place[: len(names)].astype(np.int32), dtype=int, device=self.device)
+        assert not isinstance(plant, BranchPlant) and isinstance(case, JointCase)
+        place = {j.name: int(self.model.link_place[j.link]) for j in plant.joints}
+        names, self._places = list(place), list(place.values())
+        driven = [place[item.joint] for item in case.inputs]
+        linear = int(not case.inputs or case.inputs[0].hold == "linear")
+        watched: wp.array = wp.array(self._places, dtype=int, device=self.device)
         self.channels = 3 * len(names)
         quantity = {"position": 0, "velocity": 1, "acceleration": 2}
         self._select = [3 * names.index(o.joint) + quantity[o.quantity] for o in case.outputs]
-        return [driven, linear, watched]
+        return [wp.array(driven, dtype=int, device=self.device), linear, watched]
 
     def _write(self, field: str, place: int, component: int, values: torch.Tensor) -> None:
         target = self.model.arrays[field].torch.unflatten(0, (len(self.recordings), self._blocks))
@@ -148,19 +162,20 @@ class Rollout:
             start: Coordinates and rates at the first sample, shape [S, R, J, 2]; None takes the recordings' guess.
 
         Returns:
-            float64, shape [S, R, T, C]; samples past a recording's end are zero.
+            Shape [S, R, T, C], in the simulator's precision; samples past a recording's end are zero. A view of memory
+            that the next call overwrites.
         """
         sim, width = self.simulator, self.model.width
         self.plant.write(self._padded(values).view(self._blocks, width, -1).flatten(0, 1), self.model, self._blocked)
         self._reset(start)
         sim.refresh()
+        clock = time.perf_counter()
         self._replay()
+        self.seconds += time.perf_counter() - clock
         self.world_steps += int(self._samples.sum()) * self.substeps * self._blocks * width
         out = self._output.torch[..., 0].unflatten(0, (len(self.recordings), self._blocks))
-        out = out.unflatten(-1, (-1, self.channels)).flatten(1, 2)[:, : self.num_sets].transpose(0, 1).double()
-        if isinstance(self.plant, BranchPlant):
-            return torch.cat([out[..., :3] - out[:, :, :1, :3], out[..., 3:]], dim=-1)
-        return out[..., self._select]
+        out = out.unflatten(-1, (-1, self.channels)).flatten(1, 2)[:, : self.num_sets].transpose(0, 1)
+        return out if isinstance(self.plant, BranchPlant) else out[..., self._select]
 
     def _blocked(self, field: str, place: int, component: int, values: torch.Tensor) -> None:
         self._write(field, place, component, values.view(self._blocks, self.model.width))
@@ -186,5 +201,5 @@ class Rollout:
         for field, entry, c in ((state.coordinate, 1, 0), (state.velocity, 0, 1)):
             target = field.torch.unflatten(0, (len(self.recordings), self._blocks))
             for i in range(start.shape[2]):
-                place = int(self.model.link_place[i])
+                place = self._places[i]
                 target[:, :, :, place, entry] = rows[:, :, :, i, c].permute(2, 0, 1)

@@ -1,8 +1,8 @@
 """The batched log posterior that every sampler climbs.
 
-A vector theta holds, in this order: logarithms of the plant's parameters (n), start states of every recording
-(coordinate and rate of each joint; none for a branch at rest), logarithms of the noise of every group of channels (g;
-none under the published loss).
+A vector theta holds, in this order: free coordinates of the plant's parameters (n; logarithms of positive ones), start
+states of every recording (coordinate and rate of each joint; none for a branch at rest), logarithms of the noise of
+every group of channels (g; none under the published loss).
 """
 
 from __future__ import annotations
@@ -14,7 +14,10 @@ from typing import Literal
 import torch
 
 from .case import BranchCase, JointCase
-from .plant import box_of
+from .equation_error import simulation_of
+from .input_noise import Colour
+from .plant import box_of, values_of
+from .plant_branch import Unknowns
 from .prior import Blocks, Normal, Prior, SmoothBox
 from .rollout import Recording, Rollout
 
@@ -41,28 +44,20 @@ class Target:
     Attributes:
         num_dims: Length D of theta.
         sigma0: Noise estimate of every channel, shape [C].
+        colour: How noise of the measured force correlates the residuals; None takes them for white.
     """
 
     SPACING = 0.01
     LOG_NOISE_SIGMA = 5.0
 
     def __init__(
-        self,
-        case: BranchCase | JointCase,
-        chosen: Sequence[Recording],
-        sigma: torch.Tensor,
-        *,
-        loss: Loss = "gaussian",
-        temperature: float = 0.01,
-        device: object = None,
-    ) -> None:
-        self.case, self.recordings, self.loss, self.temperature, self.device = (
-            case,
-            list(chosen),
-            loss,
-            temperature,
-            device,
-        )
+        self, case: BranchCase | JointCase, chosen: Sequence[Recording], sigma: torch.Tensor, *,
+        unknowns: Unknowns | None = None, prior: Prior | None = None, loss: Loss = "gaussian",
+        temperature: float = 0.01, device: object = None,
+    ) -> None:  # fmt: skip
+        self.case, self.recordings, self.unknowns, self.device = case, list(chosen), unknowns, device
+        self.loss, self.temperature = loss, temperature
+        self.colour: Colour | None = None
         self._rollouts: dict[int, Rollout] = {}
         self.plant = self.rollout(1).plant
         self.place = self.rollout(1).torch_device
@@ -75,7 +70,9 @@ class Target:
         self.num_noise = int(self.groups.max()) + 1 if loss == "gaussian" else 0
         self.num_dims = self.num_parameters + self.num_starts + self.num_noise
         self._stack_outputs()
-        self.prior = self._prior()
+        low, high = box_of(self.plant.parameters)
+        self.box = (low.to(self.place), high.to(self.place))
+        self.prior = self._prior(prior or SmoothBox(*self.box))
 
     def _stack_outputs(self) -> None:
         longest = max(len(r.t) for r in self.recordings)
@@ -95,11 +92,10 @@ class Target:
         )
         self.sigma0 = torch.where(active, self.sigma0, 1.0)  # divided by, with weight zero
 
-    def _prior(self) -> Prior:
-        low, high = box_of(self.plant.parameters)
+    def _prior(self, own: Prior) -> Prior:
         wide = torch.full_like(self.start0.flatten(), 10.0 * max(self.start_scale, 1.0))
         parts: list[tuple[int, Prior]] = [
-            (self.num_parameters, SmoothBox(low, high)),
+            (self.num_parameters, own),
             (self.num_starts, Normal(self.start0.flatten(), wide)),
         ]
         if self.num_noise:
@@ -111,7 +107,9 @@ class Target:
     def rollout(self, num_sets: int) -> Rollout:
         """Return the rollout for a number of sets, built once."""
         if num_sets not in self._rollouts:
-            self._rollouts[num_sets] = Rollout(self.case, self.recordings, num_sets, device=self.device)
+            self._rollouts[num_sets] = simulation_of(self.case)(
+                self.case, self.recordings, num_sets, unknowns=self.unknowns, device=self.device
+            )
         return self._rollouts[num_sets]
 
     @property
@@ -119,18 +117,29 @@ class Target:
         """World-steps taken so far."""
         return sum(r.world_steps for r in self._rollouts.values())
 
+    @property
+    def simulation_seconds(self) -> float:
+        """Wall time spent in simulation so far [s]."""
+        return sum(r.seconds for r in self._rollouts.values())
+
     def split(self, theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Split [P, D] into log parameters [P, n], start states [P, R, J, 2] and log noise [P, g]."""
+        """Split [P, D] into free coordinates [P, n], start states [P, R, J, 2] and log noise [P, g]."""
         u, s, noise = torch.split(theta, [self.num_parameters, self.num_starts, self.num_noise], dim=-1)
         return u, s.reshape(len(theta), *self.start0.shape), noise
+
+    def values(self, u: torch.Tensor) -> torch.Tensor:
+        """Return parameters in SI units from their free coordinates, shapes [..., n]."""
+        return values_of(self.plant.parameters, u)
 
     def predict(self, theta: torch.Tensor) -> torch.Tensor:
         """Return predictions [P, R, T, C]."""
         u, start, _ = self.split(theta)
-        return self.rollout(len(theta))(u.exp(), start if self.num_starts else None)
+        return self.rollout(len(theta))(self.values(u), start if self.num_starts else None).double()
 
     def linearise(self, theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return predictions [P, R, T, C] and their derivatives [P, m, R, T, C] by central differences.
+
+        Derivatives keep the simulator's precision: they are large, and far less exact than that.
 
         The m directions are the n parameters, then the entries of the start state, each moved in all recordings at
         once: a recording feels its own alone.
@@ -143,10 +152,13 @@ class Target:
         offsets = torch.cat([torch.zeros_like(offsets[:1]), offsets, -offsets])
         us = u[:, None] + offsets[:, :n]
         starts = start[:, None] + offsets[:, n:].reshape(len(offsets), 1, *self.start0.shape[1:])
-        flat = self.rollout(len(theta) * len(offsets))(us.flatten(0, 1).exp(), starts.flatten(0, 1) if local else None)
+        flat = self.rollout(len(theta) * len(offsets))(
+            self.values(us.flatten(0, 1)), starts.flatten(0, 1) if local else None
+        )
         out = flat.unflatten(0, (len(theta), len(offsets)))
         m = n + local
-        return out[:, 0], (out[:, 1 : m + 1] - out[:, m + 1 :]) / (2.0 * steps[:, None, None, None])
+        scale = (0.5 / steps).to(out.dtype)[:, None, None, None]
+        return out[:, 0].double(), (out[:, 1 : m + 1] - out[:, m + 1 :]) * scale
 
     def residual(self, prediction: torch.Tensor) -> torch.Tensor:
         """Return measured minus predicted, zero past a recording's end, [P, R, T, C]."""
@@ -158,8 +170,18 @@ class Target:
         if self.loss == "published":
             by_kind = torch.stack([(r[..., self.groups == g] ** 2).sum((-1, -2)) for g in self.groups.unique()], -1)
             return -(by_kind + 1e-30).sqrt().sum((-1, -2)) / self.temperature
-        squares = torch.stack([(r[..., self.groups == g] ** 2).sum((-1, -2, -3)) for g in range(self.num_noise)], -1)
-        return (-0.5 * squares * torch.exp(-2.0 * log_noise) - self.per_group * log_noise).sum(-1)
+        white = self.whiten(r, log_noise)
+        return -0.5 * (white**2).sum((-1, -2, -3)) - (self.per_group * log_noise).sum(-1)
+
+    def whiten(self, residual: torch.Tensor, log_noise: torch.Tensor) -> torch.Tensor:
+        """Return residuals [P, ..., R, T, C] as white noise of deviation one, given the channels' noise [P, g]."""
+        sigma = log_noise.exp()[:, self.groups]
+        z = residual / sigma.reshape(len(sigma), *[1] * (residual.dim() - 2), -1)
+        return z if self.colour is None else self.colour.whiten(z)
+
+    def log_density(self, theta: torch.Tensor) -> torch.Tensor:
+        """Return the log posterior [P] of [P, D] alone, from one world a vector and recording."""
+        return self.log_likelihood(self.predict(theta), self.split(theta)[2]) + self.prior(theta)
 
     def evaluate(self, theta: torch.Tensor) -> Evaluation:
         """Evaluate the log posterior and its gradient at [P, D]."""
@@ -168,7 +190,8 @@ class Target:
         noise = self.split(free)[2]
         log_posterior = self.log_likelihood(leaf, noise) + self.prior(free)
         by_output, by_theta = torch.autograd.grad(log_posterior.sum(), (leaf, free))
-        by_recording = torch.einsum("prtc,pmrtc->pmr", by_output, derivative)
+        weight = by_output.to(derivative.dtype).transpose(0, 1).flatten(2)
+        by_recording = torch.einsum("rpk,pmrk->pmr", weight, derivative.flatten(3)).double()
         n = self.num_parameters
         chained = [by_recording[:, :n].sum(-1), by_recording[:, n:].transpose(1, 2).flatten(1)]
         gradient = by_theta + torch.nn.functional.pad(torch.cat(chained, 1), (0, self.num_noise))

@@ -37,7 +37,10 @@ class Forest:
         count: Number of trees.
         order: How often the productions are applied; 2 for a species, else what the L-system file says.
         noise: Standard deviation of every parameter, as a fraction of it.
-        stiffness: Model of the springs: by branching order, or E pi r^4 / 2 l of a beam.
+        stiffness: Model of the springs: by branching order (rudimentary, if nothing is given), or E pi r^4 / 2 l of a
+            beam.
+        posterior: posterior.npz of an identified branch, instead of a stiffness model: each tree draws one of its
+            particles.
         format: Kinds of file to write for every tree: tree_0000.xml, .urdf, .glb, .usda.
         seed: Seed of the noise; tree i depends on it and on i alone.
         picture_width: Width of forest.png [pixels]; 0 draws none.
@@ -49,7 +52,8 @@ class Forest:
     count: int = 64
     order: int | None = None
     noise: float = 0.1
-    stiffness: Literal["rudimentary", "beam"] = "rudimentary"
+    stiffness: Literal["rudimentary", "beam"] | None = None
+    posterior: Path | None = None
     format: tuple[Format, ...] = ("mjcf",)
     seed: int = 0
     picture_width: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 1600
@@ -75,20 +79,22 @@ def write_forest(options: Forest) -> list[Tree]:
     """Grow and write a forest, whole or not at all; return its trees.
 
     Raises:
-        InputError: An option out of range, a faulty L-system file, a folder that cannot be written, a format whose
-            package is missing.
+        InputError: An option out of range, a faulty L-system file or posterior, a folder that cannot be written, a
+            format whose package is missing.
     """
     _check(options)
     options = _settled(options)
     with output_folder(options.out) as folder:
         grow_one = _grower(options)
-        trees = []
+        trees, described = [], []
         with bar("growing trees", options.count) as advance:
             for i in range(options.count):
-                trees.append(grow_one(i))
-                _write_tree(trees[-1], folder / f"tree_{i:04d}", options.format)
+                tree, drawn = grow_one(i)
+                _write_tree(tree, folder / f"tree_{i:04d}", options.format)
+                trees.append(tree)
+                described.append(_described(tree, i, options) | drawn)
                 advance(1)
-        description = {"options": _plain(options), "trees": [_described(t, i, options) for i, t in enumerate(trees)]}
+        description = {"options": _plain(options), "trees": described}
         (folder / "forest.json").write_text(json.dumps(description, indent=1) + "\n")
         if options.picture_width:
             _draw(trees, folder / "forest.png", options)
@@ -111,13 +117,16 @@ def _check(options: Forest) -> None:
     need(width == 0 or 64 <= width <= 8192, "--picture-width", width, "0 for no picture, or 64 to 8192")
     both = options.species is not None and options.lsystem is not None
     need(not both, "--lsystem", f"{options.lsystem} and --species {options.species}", "one of the two")
+    both = options.posterior is not None and options.stiffness is not None
+    need(not both, "--posterior", f"{options.posterior} and --stiffness {options.stiffness}", "one of the two")
 
 
-def _grower(options: Forest) -> Callable[[int], Tree]:
-    """Return the function that grows tree i; `species.grow_forest` draws the same seeds."""
+def _grower(options: Forest) -> Callable[[int], tuple[Tree, dict[str, int]]]:
+    """Return the function that grows tree i and says which particle it drew; `species.grow_forest` draws the same."""
     import numpy as np
 
     from .lsystem import LSystem
+    from .posterior_stiffness import SpringPosterior
     from .species import grow_system, species_system
 
     if options.lsystem is not None:
@@ -125,13 +134,18 @@ def _grower(options: Forest) -> Callable[[int], Tree]:
     else:
         system = species_system(options.species or "")
         label = system.source
+    posterior = None if options.posterior is None else SpringPosterior.from_file(options.posterior)
 
-    def grow_one(i: int) -> Tree:
+    def grow_one(i: int) -> tuple[Tree, dict[str, int]]:
         seed = np.random.SeedSequence(options.seed, spawn_key=(i,))
-        return grow_system(
+        tree = grow_system(
             system, name=f"{label}_{i:04d}", iterations=options.order, noise=options.noise, seed=seed,
-            stiffness=options.stiffness,
+            stiffness=options.stiffness or "beam",
         )  # fmt: skip
+        if posterior is None:
+            return tree, {}
+        particle = posterior.draw(np.random.SeedSequence(options.seed, spawn_key=(i, 0)))
+        return posterior.apply(tree, particle), {"particle": particle}
 
     return grow_one
 
@@ -188,7 +202,12 @@ def _plain(options: Forest) -> dict[str, Any]:
 
 
 def _settled(options: Forest) -> Forest:
-    """Return the options with the defaults that depend on others: Ta of order 2 where there is no L-system file."""
+    """Return the options with the defaults that depend on others.
+
+    Ta of order 2 where there is no L-system file, rudimentary springs where there is no posterior.
+    """
+    if options.posterior is None:
+        options = replace(options, stiffness=options.stiffness or "rudimentary")
     if options.lsystem is not None:
         return options
     return replace(options, species=options.species or "Ta", order=2 if options.order is None else options.order)

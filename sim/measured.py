@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,16 +67,22 @@ class MeasuredBranch:
         return self.grasp_segment, np.array([0.0, 0.0, self.grasp_distance])
 
 
-def measured_tree(branch: MeasuredBranch, stiffness: ArrayLike, damping: ArrayLike) -> Tree:
-    """Build the ball-jointed chain of a measured branch, held in its given pose against gravity by pre-loads.
+def measured_tree(
+    branch: MeasuredBranch,
+    stiffness: ArrayLike,
+    damping: ArrayLike,
+    joints: Literal["spherical", "revolute"] = "spherical",
+) -> Tree:
+    """Build the chain of a measured branch, held in its given pose against gravity by pre-loads.
 
-    Each segment is a solid frustum on a ball joint at its lower end; its body frame sits there, z along the axis and y
+    Each segment is a solid frustum on a joint at its lower end; its body frame sits there, z along the axis and y
     horizontal.
 
     Args:
         branch: Measured geometry of R segments.
         stiffness: Spring of each joint [N m/rad], shape [R].
         damping: Damper of each joint [N m s/rad], shape [R].
+        joints: ``spherical``, or ``revolute`` about y, so that segments bend up and down only.
 
     Raises:
         InputError: ``stiffness`` or ``damping`` has another shape, is negative or not finite.
@@ -91,7 +98,8 @@ def measured_tree(branch: MeasuredBranch, stiffness: ArrayLike, damping: ArrayLi
         name=branch.name,
         link_name=list(branch.segment_name),
         parent=np.arange(-1, n - 1),
-        joint=np.full(n, Joint.SPHERICAL),
+        joint=np.full(n, Joint.SPHERICAL if joints == "spherical" else Joint.REVOLUTE),
+        axis=np.tile([0.0, 1.0, 0.0], (n, 1)),
         position=np.concatenate([branch.base_position[None], _up(branch.length[:-1])]),
         rotation=np.concatenate([world[:1], quat_multiply(world[:-1] * [1, -1, -1, -1], world[1:])]),
         mass=branch.mass,

@@ -1,7 +1,7 @@
 """Spring and damper of every joint of a tree: two models of the thesis (section 4.3.2), and the load wood carries.
 
 Rudimentary: K_p = max(lower, upper decay^level), Gaussian noise on it. Beam: K_p = E pi r^4 / (2 l) (equation 4.2).
-Both take K_d = K_p / 10.
+Both take K_d = K_p / 10 unless told otherwise; `posterior_stiffness` gives the beam what was inferred.
 """
 
 from __future__ import annotations
@@ -73,23 +73,37 @@ def rudimentary(
     return _with_springs(tree, np.maximum(upper * decay**tree.level + noise, lower))
 
 
-def beam(tree: Tree, young: float = YOUNG) -> Tree:
-    """Return the tree with the stiffness of bending beams, K_p = E pi r^4 / (2 l) (equation 4.2).
+def beam(tree: Tree, young: float | Array = YOUNG, relaxation: float | Array = DAMPING_TIME) -> Tree:
+    """Return the tree with springs and dampers of bending beams, K = E pi r^4 / (2 l) (equation 4.2) and D = K tau.
 
-    r is the mean radius and l the length of the link's first capsule. Fixed and prismatic joints keep their values.
+    r and l are those of `beam_size`. Fixed and prismatic joints keep their values.
+
+    Args:
+        tree: The tree.
+        young: Young's modulus E [Pa], one or one a link, shape [L].
+        relaxation: Relaxation time tau [s], one or one a link, shape [L].
 
     Raises:
-        InputError: ``young`` is not positive; names a turning link that has no capsule of positive length.
+        InputError: ``young`` or ``relaxation`` is not positive; names a turning link that has no capsule of positive
+            length.
     """
-    _require(tree, "young", young, 0.0 < young < math.inf, "a finite number above 0")
+    for name, value in (("young", young), ("relaxation", relaxation)):
+        bad = [v for v in np.atleast_1d(value).tolist() if not 0.0 < v < math.inf]
+        _require(tree, name, (bad or [0.0])[0], not bad, "finite numbers above 0")
+    radius, length = beam_size(tree)
+    for link in np.flatnonzero(_turns(tree) & (length <= 0.0)).tolist():
+        _require(tree, f"link {tree.link_name[link]}", 0.0, False, "a capsule of positive length, which a beam needs")
+    return _with_springs(tree, young * np.pi * radius**4 / (2.0 * np.where(length > 0.0, length, 1.0)), relaxation)
+
+
+def beam_size(tree: Tree) -> tuple[Array, Array]:
+    """Mean radius and length of every link's first capsule [m], shapes [L]; zero where a link has none."""
     radius, length = np.zeros(tree.num_links), np.zeros(tree.num_links)
     first = {int(link): shape for shape, link in reversed(list(enumerate(tree.shape_link)))}
     for link, shape in first.items():
         radius[link] = tree.shape_radius[shape].mean()
         length[link] = np.linalg.norm(tree.shape_end[shape] - tree.shape_start[shape])
-    for link in np.flatnonzero(_turns(tree) & (length <= 0.0)).tolist():
-        _require(tree, f"link {tree.link_name[link]}", 0.0, False, "a capsule of positive length, which a beam needs")
-    return _with_springs(tree, young * np.pi * radius**4 / (2.0 * np.where(length > 0.0, length, 1.0)))
+    return radius, length
 
 
 def _require(tree: Tree, place: str, value: float, ok: bool, allowed: str) -> None:
@@ -101,11 +115,11 @@ def _turns(tree: Tree) -> np.ndarray:
     return np.isin(tree.joint, [Joint.REVOLUTE, Joint.SPHERICAL])
 
 
-def _with_springs(tree: Tree, stiffness: Array) -> Tree:
+def _with_springs(tree: Tree, stiffness: Array, relaxation: float | Array = DAMPING_TIME) -> Tree:
     turns = _turns(tree)
     return tree.with_(
         stiffness=np.where(turns, stiffness, tree.stiffness),
-        damping=np.where(turns, DAMPING_TIME * stiffness, tree.damping),
+        damping=np.where(turns, relaxation * stiffness, tree.damping),
     )
 
 

@@ -4,8 +4,10 @@ import re
 
 import pytest
 import warp as wp
+from bough.kernels.inverse import inverse_kernels
 from bough.kernels.observe import energy_kernel, pose_kernel, probe_kernel
 from bough.kernels.reset import reset_kernels
+from bough.kernels.rollout import rollout_kernels
 from bough.kernels.stability import damping_kernel
 from bough.kernels.step import step_kernels
 
@@ -18,6 +20,9 @@ KERNELS = {
     "energy": lambda precision: energy_kernel(1, precision),
     "restore": lambda precision: reset_kernels(precision).restore,
     "revive": lambda precision: reset_kernels(precision).revive,
+    "inverse": lambda precision: inverse_kernels(1, precision).inverse,
+    "replay_point": lambda precision: rollout_kernels(1, precision).point,
+    "replay_joint": lambda precision: rollout_kernels(1, precision).joint,
 }
 ARITHMETIC = {32: r"(?:add|mul|fma|div|sqrt)\S*\.f32", 64: r"(?:add|mul|fma|div|sqrt)\S*\.f64"}
 

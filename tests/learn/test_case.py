@@ -121,7 +121,7 @@ def test_joint_case_is_read(tmp_path: Path) -> None:
     assert isinstance(case, JointCase) and case.train == (0,) and case.test == (1,) and abs(case.dt - 0.04) < 1e-12
     first = case.trajectories[0]
     torque, angle = (np.array([float(row[i]) for row in rows[3:31]]) for i in (2, 3))
-    np.testing.assert_allclose(first.input, 1e-3 * torque, rtol=1e-12)
+    np.testing.assert_allclose(first.effort[:, 0], 1e-3 * torque, rtol=1e-12)
     np.testing.assert_allclose(first.output[:, 0], np.radians(angle), rtol=1e-8)
     assert first.t[0] == 0.0 and len(first.t) == 28
     assert case.joints[0].inertia is None and case.joints[0].gravity_torque.amplitude is None

@@ -48,7 +48,7 @@ def test_branch_from_another_simulator(branch, tmp_path):
 def test_same_seed_same_bits(branch):
     """Give the same particles from the same seed, and others from another."""
     case = load_case(branch[0])
-    quick = [Settings(particles=8, iterations=10, seed=s) for s in (3, 3, 4)]
+    quick = [Settings(particles=16, iterations=12, seed=s) for s in (3, 3, 4)]
     a, b, c = (run(case, s).posterior.particles for s in quick)
     assert (a == b).all()
     assert (a != c).any()
@@ -68,7 +68,7 @@ def test_joint_case_with_known_answer(tmp_path):
 @pytest.mark.skipif(not PENDULUM.exists(), reason="the shared measurements are not here")
 def test_real_pendulum_lacks_something(tmp_path):
     """Predict the third release to 5.5 degrees and say that this is far above the noise and no failure of the fit."""
-    identify(PENDULUM, tmp_path / "out", Settings(particles=8, iterations=10))
+    identify(PENDULUM, tmp_path / "out", Settings(particles=24, iterations=20))
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["rms_misfit_deg"] <= 5.5
     assert report["misfit_over_noise"] > 20
@@ -113,7 +113,7 @@ def test_planar_case_is_judged_in_its_plane(branch, tmp_path):
     make_planar(branch[0], folder)
     meta = yaml.safe_load((folder / "meta.yaml").read_text())
     assert meta["planar"]
-    outcome = run(load_case(folder), Settings(particles=8, iterations=10))
+    outcome = run(load_case(folder), Settings(particles=24, iterations=20))
     assert outcome.prediction.main == (0, 2)
     floor = np.sqrt(np.mean(outcome.noise.displacement[[0, 2]] ** 2))
     assert np.isclose(outcome.noise_floor, floor)

@@ -172,12 +172,22 @@ def test_loop_figure_projects_on_the_force() -> None:
 
 
 def test_convergence_figure_and_global_style() -> None:
-    """Particles settle onto the noise floor's scale; drawing leaves matplotlib's global settings alone."""
+    """Particles settle below their best; means of coordinates are drawn; matplotlib's settings are left alone."""
     before = dict(matplotlib.rcParams)
     steps = np.arange(30)[:, None]
-    misfit = 0.003 + 0.1 * np.exp(-steps / 5) * np.linspace(0.5, 2, 16)
-    drawn = figures.convergence_figure(-1e5 * misfit**2, misfit, 0.003)
+    below = 0.003 + 100 * np.exp(-steps / 5) * np.linspace(0.5, 2, 16)
+    mean = np.exp(-steps / 4) * np.array([1.0, -2.0, 0.5])
+    drawn = figures.convergence_figure(-below, mean)
     left, right = drawn.axes
-    assert len(left.lines) == 17 and right.get_yscale() == "log"
-    np.testing.assert_allclose(right.lines[16].get_ydata(), np.median(misfit, axis=1))
+    assert len(left.lines) == 17
+    np.testing.assert_allclose(left.lines[16].get_ydata(), np.median(below, axis=1) - below.min())
+    np.testing.assert_allclose([line.get_ydata() for line in right.lines], mean.T)
     assert decoded(drawn).std() > 0.01 and dict(matplotlib.rcParams) == before
+
+
+def test_coverage_figure_shows_both_curves() -> None:
+    """Nominal probabilities across, shares of points up, in percent."""
+    drawn = figures.coverage_figure(np.array([0.5, 0.95]), np.array([0.4, 0.9]))
+    ideal, found = drawn.axes[0].lines
+    np.testing.assert_allclose(found.get_xydata(), [[50, 40], [95, 90]])
+    np.testing.assert_allclose(ideal.get_xydata(), [[0, 0], [100, 100]])
