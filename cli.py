@@ -1,7 +1,7 @@
 """The command line: flat commands over the rooms, one line on what was written where.
 
-Exit codes: 0 done; 1 the machine failed (a full disk); 2 bad input, one line on stderr; 3 every world left the finite;
-130 interrupted.
+Exit codes: 0 done; 1 the machine failed (a full disk); 2 bad input, one line on stderr; 3 done, but every world left
+the finite or a sampler did not converge; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import tyro
 
 from . import __version__
 from .learn.command_identify import Identify
+from .learn.command_reproduce import Reproduce
 from .sim.command_forest import Forest
 from .sim.command_info import Info
 from .sim.command_simulate import Simulate
@@ -31,6 +32,7 @@ Command = (
     | Annotated[Forest, tyro.conf.subcommand("forest")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
     | Annotated[Identify, tyro.conf.subcommand("identify")]
+    | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
 )
 
 

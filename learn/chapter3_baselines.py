@@ -8,7 +8,7 @@ Metropolis-Hastings knows no gradients and starts from the prior.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -27,6 +27,8 @@ WALKS = (0.015, 0.05, 0.15)
 ADAPTIVE = "MH, adaptive"
 SHARES = (0.25, 0.5, 1.0)
 """Shares of the iterations at which the methods are compared."""
+WALKERS = 12
+"""Walkers of the reference for each coordinate."""
 MOST_PAIRED = 1024
 """Draws of the reference that distances are taken to."""
 
@@ -112,21 +114,36 @@ def calls_of(target: Target) -> int:
     return target.world_steps // (len(target.recordings[0].t) * rollout.substeps)
 
 
-def make_reference(bench: Bench, eta: float | None, *, particles: int, length: int, seed: int) -> Reference:
-    """Draw from a bench's posterior with emcee, from the modes, and keep the second half of its walkers' paths."""
-    target = bench.target(eta)
-    walkers = max(particles, 4 * target.num_dims)
+def make_references(bench: Bench, *, particles: int, length: int, seed: int) -> dict[float | None, Reference]:
+    """Draw from a bench's posterior with emcee, from SVGD's particles, and keep the second half of the walkers' paths.
+
+    Returns:
+        References without the inequality prior, under None, and with it, under `ETA`: the same draws, resampled in
+        proportion to the prior.
+    """
+    target = bench.target()
+    walkers = WALKERS * target.num_dims
     first = infer(target, method="svgd", particles=walkers, iterations=20, seed=seed).theta
     sampler = make_sampler("emcee", first, iterations=length, seed=seed)
     density = plain(target)
     trace = torch.stack([sampler.step(density).clone() for _ in range(length)])[length // 2 :]
-    flat = trace.flatten(0, 1)
+    flat, worst = trace.flatten(0, 1), float(r_hat(trace).max())
+    weight = torch.softmax(bench.target(ETA).prior(flat) - target.prior(flat), 0)
+    flat_weight = torch.full_like(weight, 1.0 / len(weight))
+    return {eta: _reference(flat, w, worst, particles, seed) for eta, w in ((None, flat_weight), (ETA, weight))}
+
+
+def _reference(flat: torch.Tensor, weight: torch.Tensor, worst: float, particles: int, seed: int) -> Reference:
+    """Resample draws [N, D] by weights [N] and measure what exact draws of P particles score."""
     generator = torch.Generator().manual_seed(seed)
-    draws = flat[torch.randperm(len(flat), generator=generator)[:MOST_PAIRED].to(flat.device)]
-    made = Reference(draws, spread(draws, 0.0), float(r_hat(trace).max()), 1.0)
-    picked = [flat[torch.randperm(len(flat), generator=generator)[:particles].to(flat.device)] for _ in range(20)]
-    exact = float(torch.tensor([made.distance(p) for p in picked]).median())
-    return Reference(made.draws, made.factor, made.worst_r_hat, exact)
+
+    def some(count: int) -> torch.Tensor:
+        return flat[torch.multinomial(weight.cpu(), count, replacement=True, generator=generator).to(flat.device)]
+
+    draws = some(MOST_PAIRED)
+    made = Reference(draws, spread(draws, 0.0), worst, 1.0)
+    exact = float(torch.tensor([made.distance(some(particles)) for _ in range(20)]).median())
+    return replace(made, exact=exact)
 
 
 def compare(
@@ -145,11 +162,11 @@ def compare(
         seed: Of everything random.
         advance: Called after each run.
     """
-    truth = {eta: make_reference(bench, eta, particles=particles, length=reference, seed=seed) for eta in (None, ETA)}
+    truth = make_references(bench, particles=particles, length=reference, seed=seed)
     advance()
     entries = []
     for share in shares:
-        count = max(10, round(share * iterations))
+        count = round(share * iterations)
         calls = 0
         for name, method in GRADIENT.items():
             eta = ETA if name == "NNSVGD" else None

@@ -1,4 +1,4 @@
-"""The thesis's simulated set-up (3.4.1, table A.1): a planar branch, pushes along gravity, the published loss, scores."""
+"""The thesis's simulated set-up (3.4.1, table A.1): a planar branch, pushes along gravity, published loss, scores."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from .target import Loss, Target
 BOX = (5.0, 200.0)
 """Search range of stiffness [N m/rad] and damping [N m s/rad] (table A.1)."""
 KT = 0.01
-ITERATIONS = 70
 SAMPLES = 120
 TRAINING, UNSEEN = 5, 25
 STEP = 3.0 / (BOX[1] - BOX[0])

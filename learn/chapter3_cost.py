@@ -13,7 +13,8 @@ from .chapter3_bench import Bench
 from .chapter3_prior import Advance
 from .target import Target
 
-PARTICLES = (16, 32, 64, 128)
+TIMES = (0.5, 1, 2, 4)
+"""Multiples of the number of particles."""
 TRAJECTORIES = (2, 5, 10, 20)
 SEGMENTS = (1, 2, 3, 4)
 REPEATS = 5
@@ -63,7 +64,7 @@ def measure_costs(folder: Path, bench: Bench, *, particles: int, seed: int, adva
     """Measure iterations over particles, trajectories and segments, the other two at the thesis's values."""
     recordings = [*bench.train, *bench.unseen]
     out: dict[str, list[Cost]] = {"particles": [], "trajectories": [], "segments": []}
-    for count in PARTICLES:
+    for count in (round(k * particles) for k in TIMES):
         out["particles"].append(_measure(bench, bench.target(), count, count, seed))
         advance()
     for count in TRAJECTORIES:

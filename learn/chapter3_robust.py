@@ -28,6 +28,7 @@ STAND_INS = (("Kinova, R = 1", 1, 100, 5.0), ("Franka, R = 1", 1, 120, 7.0), ("K
 """Name, segments, samples a trajectory, and the share of points outside that the thesis measured [%] (table 3.2)."""
 STAND_IN_NOISE = 0.05
 UPDATES = 24
+"""Most updates of SVGD, as `bough identify` takes."""
 _BOX = tuple(f"{kind}={BOX[0]:g}:{BOX[1]:g}" for kind in ("stiffness", "damping"))
 
 
@@ -53,10 +54,10 @@ class Study:
         return 1.0 - self.prediction.coverage
 
 
-def _settings(segments: int, particles: int, seed: int, cv: int = 0) -> Settings:
+def _settings(segments: int, particles: int, iterations: int, seed: int, cv: int = 0) -> Settings:
     """NNSVGD; SVGD for one segment, which has no parent to be below."""
     method: Method = "nnsvgd" if segments > 1 else "svgd"
-    return Settings(particles=particles, iterations=UPDATES, seed=seed, method=method, box=_BOX, cv=cv)
+    return Settings(particles=particles, iterations=min(UPDATES, iterations), seed=seed, method=method, box=_BOX, cv=cv)
 
 
 def make_case(
@@ -78,14 +79,14 @@ def _error(posterior_median: Array, stiffness: Array) -> Array:
 
 
 def noise_study(
-    folder: Path, noises: Sequence[float], unseen: int, *, particles: int, seed: int, advance: Advance
+    folder: Path, noises: Sequence[float], unseen: int, *, particles: int, iterations: int, seed: int, advance: Advance
 ) -> list[Study]:
     """Infer one branch of two segments from records with growing noise on force and motion (figure 3.7)."""
     out = []
     for noise in noises:
         places = [TRAINED_AT] * (TRAINING + unseen)
         case, truth = make_case(folder / f"noise_{noise:g}", seed, 2, noise=noise, grasps=places)
-        work = Identification(case, _settings(2, particles, seed))
+        work = Identification(case, _settings(2, particles, iterations, seed))
         posterior = work.learn(list(range(TRAINING)), "posterior")
         prediction = work.predict(posterior, list(range(TRAINING, TRAINING + unseen)))
         error = _error(posterior.interval()[0], truth)
@@ -94,11 +95,13 @@ def noise_study(
     return out
 
 
-def grasp_study(folder: Path, unseen: int, *, particles: int, seed: int, advance: Advance) -> list[Study]:
+def grasp_study(
+    folder: Path, unseen: int, *, particles: int, iterations: int, seed: int, advance: Advance
+) -> list[Study]:
     """Infer from pushes at one place of the last segment, predict pushes at others (figure 3.8)."""
     places = [TRAINED_AT] * TRAINING + [p for p in TESTED_AT for _ in range(unseen)]
     case, truth = make_case(folder / "grasp", seed, 2, noise=GRASP_NOISE, grasps=places)
-    work = Identification(case, _settings(2, particles, seed))
+    work = Identification(case, _settings(2, particles, iterations, seed))
     posterior = work.learn(list(range(TRAINING)), "posterior")
     out, error = [], _error(posterior.interval()[0], truth)
     for k, place in enumerate(TESTED_AT):
@@ -109,7 +112,7 @@ def grasp_study(folder: Path, unseen: int, *, particles: int, seed: int, advance
     return out
 
 
-def stand_ins(folder: Path, *, particles: int, seed: int, advance: Advance) -> list[Study]:
+def stand_ins(folder: Path, *, particles: int, iterations: int, seed: int, advance: Advance) -> list[Study]:
     """Cross-validate simulated branches in place of the thesis's arms: 3 + 3 trajectories, two folds (figure 3.9)."""
     out = []
     for k, (name, segments, samples, _) in enumerate(STAND_INS):
@@ -117,7 +120,7 @@ def stand_ins(folder: Path, *, particles: int, seed: int, advance: Advance) -> l
         case, truth = make_case(
             folder / f"stand_in_{k}", seed + k, segments, noise=STAND_IN_NOISE, samples=samples, grasps=places
         )
-        outcome = run(case, _settings(segments, particles, seed, cv=2))
+        outcome = run(case, _settings(segments, particles, iterations, seed, cv=2))
         error = _error(outcome.posterior.interval()[0], truth)
         out.append(Study(name, outcome.prediction, outcome.posterior.convergence, error))
         advance()

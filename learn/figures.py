@@ -33,15 +33,15 @@ _STYLE: dict[Any, Any] = {
 _P = ParamSpec("_P")
 
 
-def _styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
+def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
     """Draw with this module's style and leave the global one alone."""
 
     @wraps(draw)
-    def styled(*args: _P.args, **kwargs: _P.kwargs) -> Figure:
+    def drawn(*args: _P.args, **kwargs: _P.kwargs) -> Figure:
         with matplotlib.rc_context(_STYLE):
             return draw(*args, **kwargs)
 
-    return styled
+    return drawn
 
 
 def png(figure: Figure, dpi: int = 150) -> bytes:
@@ -51,7 +51,7 @@ def png(figure: Figure, dpi: int = 150) -> bytes:
     return buffer.getvalue()
 
 
-@_styled
+@styled
 def prediction_figure(
     t: Sequence[Array],
     measured: Sequence[Array],
@@ -93,7 +93,7 @@ def prediction_figure(
     return figure
 
 
-@_styled
+@styled
 def posterior_figure(samples: Array, names: Sequence[str]) -> Figure:
     """Draw marginals with median and 95 % interval and, up to eight parameters, every pair.
 
@@ -155,7 +155,7 @@ def _wrapped(label: str) -> str:
     return "\n".join([*name.split(), f"[{unit}" if unit else ""]).rstrip()
 
 
-@_styled
+@styled
 def convergence_figure(log_posterior: Array, mean: Array) -> Figure:
     """Draw how the particles settle.
 
@@ -180,7 +180,7 @@ def convergence_figure(log_posterior: Array, mean: Array) -> Figure:
     return figure
 
 
-@_styled
+@styled
 def coverage_figure(nominal: Array, covered: Array) -> Figure:
     """Draw how much a central interval really covers against what it claims to.
 
@@ -198,7 +198,28 @@ def coverage_figure(nominal: Array, covered: Array) -> Figure:
     return figure
 
 
-@_styled
+@styled
+def amplitude_figure(amplitude: Array, misfit: Array, noise_floor: float, *, label: str) -> Figure:
+    """Draw the misfit of windows against how far things moved in them.
+
+    Args:
+        amplitude: Root mean square of what was measured in each window, shape [W].
+        misfit: Root mean square misfit there, shape [W].
+        noise_floor: Misfit that a perfect model would leave.
+        label: Unit of all.
+    """
+    figure = Figure(figsize=(4.6, 3.6), layout="constrained")
+    ax = figure.subplots()
+    ax.plot(amplitude, misfit, ".", color=MODEL, markersize=7, label="windows of held-out motion")
+    ax.axhline(noise_floor, color=NOISE, linestyle="--", label="noise floor")
+    ax.set_xlabel(f"rms of the motion [{label}]")
+    ax.set_ylabel(f"rms misfit [{label}]")
+    ax.set_ylim(bottom=0.0)
+    ax.legend()
+    return figure
+
+
+@styled
 def residual_figure(t: Sequence[Array], residual: Sequence[Array], sigma: Array, *, label: str) -> Figure:
     """Draw what the model leaves over against the noise: in time, as a histogram, and its autocorrelation.
 
@@ -266,7 +287,7 @@ def _autocorrelation(ax: Axes, t: Sequence[Array], scaled: Sequence[Array], colo
     ax.legend(loc="upper right")
 
 
-@_styled
+@styled
 def loop_figure(
     force: Sequence[Array], measured: Sequence[Array], predicted: Sequence[Array], *, titles: Sequence[str]
 ) -> Figure:

@@ -144,7 +144,8 @@ def split(case: BranchCase | JointCase) -> tuple[list[int], list[int]]:
     """Return indices of the trajectories to learn from and to hold out.
 
     As the case says, where it does. Else about a quarter is held out: the last trajectories that no other repeats and
-    that repeat no other, so that what is held out was seen in no form.
+    that repeat no other, so that what is held out was seen in no form. A single recording of torques is fitted and
+    judged as a whole: its samples are thousands of experiments.
 
     Raises:
         InputError: There are fewer than two trajectories.
@@ -152,6 +153,8 @@ def split(case: BranchCase | JointCase) -> tuple[list[int], list[int]]:
     count = len(case.trajectories)
     if isinstance(case, JointCase) and case.train is not None and case.test is not None:
         return list(case.train), list(case.test)
+    if count == 1 and isinstance(case, JointCase) and case.fit == "torque":
+        return [0], [0]
     if count < 2:
         raise InputError(case.folder / "meta.yaml", "trajectories", f"{count}", "two or more: one is held out")
     original = {t.replicate_of for t in case.trajectories}

@@ -12,6 +12,7 @@ from .. import __version__
 from ..sim.host import describe
 from .case import BranchCase, JointCase
 from .figures import (
+    amplitude_figure,
     convergence_figure,
     coverage_figure,
     loop_figure,
@@ -70,6 +71,10 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "test": [j + 1 for j in outcome.test],
             f"rms_misfit_{unit}": [float(np.sqrt(np.mean(r[:, list(p.main)] ** 2))) for r in p.residual],
         },
+        f"rms_misfit_by_channel_{unit}": _by_channel(outcome),
+        "misfit_by_amplitude": {
+            f"{name}_{unit}": x.tolist() for name, x in zip(("amplitude", "misfit"), p.by_amplitude(), strict=True)
+        },
         "starts_that_agree": outcome.posterior.agreement,
         "converged": outcome.posterior.convergence.converged,
         "convergence": outcome.posterior.convergence.reason,
@@ -86,6 +91,14 @@ def summary(outcome: Outcome) -> dict[str, Any]:
     if unit == "rad":
         out |= {f"{name}_deg": math.degrees(value) for name, value in scores.items()}
     return out
+
+
+def _by_channel(outcome: Outcome) -> dict[str, float]:
+    """Return the rms misfit of every main channel, by axis or joint."""
+    case, p = outcome.case, outcome.prediction
+    names = ["xyz"[c] if isinstance(case, BranchCase) else case.channels[c].joint for c in p.main]
+    squares = np.mean(np.concatenate([r[:, list(p.main)] ** 2 for r in p.residual]), axis=0)
+    return dict(zip(names, np.sqrt(squares).tolist(), strict=True))
 
 
 def _shown(outcome: Outcome) -> tuple[float, str]:
@@ -148,13 +161,22 @@ def content(outcome: Outcome) -> ReportContent:
             **_method(outcome),
             "bough": __version__,
             **describe(),
-            **{f"note {i + 1}": w for i, w in enumerate(outcome.case.warnings)},
+            **{f"note {i + 1}": w for i, w in enumerate(_notes(outcome))},
         },
         further=[
             ("posterior.npz", "the particles, for your own code"),
             ("report.json", "every number on this page"),
         ],
     )
+
+
+def _notes(outcome: Outcome) -> list[str]:
+    """Return the case's warnings, and what is not held out."""
+    seen = outcome.train == outcome.test
+    return [
+        *outcome.case.warnings,
+        *(["one recording: nothing is held out, scores are of what was fitted"] if seen else []),
+    ]
 
 
 def _method(outcome: Outcome) -> dict[str, str | int | float]:
@@ -201,6 +223,14 @@ def _figures(outcome: Outcome, scale: float, unit: str) -> list[ReportFigure]:
             "What the model leaves over, against the noise: mere noise fills the green band and has no memory.",
         ),
     ]  # fmt: skip
+    amplitude, misfit = p.by_amplitude()
+    out.append(
+        ReportFigure(
+            "amplitude.png",
+            amplitude_figure(scale * amplitude, scale * misfit, scale * outcome.noise_floor, label=unit),
+            "Misfit against amplitude: what grows with the amplitude is no noise, and no linear model's to explain.",
+        )
+    )
     if isinstance(case, BranchCase):
         force = [case.trajectories[j].force for j in outcome.test]
         out.append(

@@ -24,9 +24,10 @@ from .plant_branch import Unknowns
 from .rollout import Recording, Rollout
 
 #: Moments of a recording at which a pulse is simulated; between them the earlier one's response is shifted.
-PULSES = 8
-#: Independent pieces of noise a recording and axis; longer recordings take means over neighbouring samples.
-PIECES = 48
+PULSES = 16
+#: Independent pieces of noise a recording and axis; longer recordings take means over neighbouring samples. Means lose
+#: what is faster than they are, and a branch that swings once in five samples answers to just that.
+PIECES = 160
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def input_colour(
     """
     axes = np.flatnonzero(force_sigma > 0.0)
     pulsed, step = [], 5.0 * float(force_sigma.max())
-    moments = [np.unique(np.linspace(0, len(r.t) - 2, PULSES).astype(int)) for r in chosen]
+    moments = [_moments(len(r.t)) for r in chosen]
     for r, at in zip(chosen, moments, strict=True):
         pulsed += [r, *(_pulse(r, int(k), int(a), step) for k in at for a in axes)]
     out = Rollout(case, pulsed, 1, unknowns=unknowns, device=device)(values[None])[0].double()
@@ -83,6 +84,11 @@ def input_colour(
         parts.append(_columns(r, at, response, force_sigma[axes]))
         first += 1 + len(at) * len(axes)
     return _decompose(parts, sigma.to(out.device))
+
+
+def _moments(length: int) -> Array:
+    """Samples at which pulses are tried, the first among them: its pulse only falls, all others rise and fall."""
+    return np.unique(np.concatenate([[0], np.linspace(1, length - 2, PULSES).astype(int)]))
 
 
 def _pulse(r: Recording, sample: int, axis: int, size: float) -> Recording:
@@ -96,8 +102,8 @@ def _columns(r: Recording, at: Array, response: torch.Tensor, force_sigma: Array
     length, longest = len(r.t), response.shape[2]
     block = -(-length // PIECES)
     out = []
-    for start in range(0, length - 1, block):
-        samples = [k for k in range(start, min(start + block, length - 1)) if r.contact[k]]
+    for start in range(0, length, block):
+        samples = [k for k in range(start, min(start + block, length)) if r.contact[k]]
         if not samples:
             continue
         total = torch.zeros_like(response[0])

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 
 #: Halvings of the bracket of a quantile: to a 2^-40 of the spread.
 HALVINGS = 40
-#: Components that the score's double sum runs over at most, evenly picked.
-PAIRED = 64
+#: Partners of every component in the score's double sum at most, evenly spaced: of pairs (i, i + k) all i are taken
+#: with so many shifts k.
+SHIFTS = 64
 
 
 def scott_bandwidth(x: torch.Tensor) -> torch.Tensor:
@@ -62,12 +64,15 @@ class Mixture:
         Closed form for mixtures of normals (Grimit et al. 2006): with A(m, s) = 2 s phi(m/s) + m (2 Phi(m/s) - 1),
         mean_i A(y - m_i, s_i) - 1/2 mean_ij A(m_i - m_j, sqrt(s_i^2 + s_j^2)).
         """
+        count = len(self.mean)
         error = _spread(y - self.mean, self.deviation).mean(0)
-        inner, picked = torch.zeros_like(error), slice(None, None, -(-len(self.mean) // PAIRED))
-        mean, deviation = self.mean[picked], self.deviation[picked]
-        for m, s in zip(mean, deviation, strict=True):
-            inner += _spread(m - mean, torch.sqrt(s**2 + deviation**2)).mean(0)
-        return error - 0.5 * inner / len(mean)
+        own = _spread(torch.zeros_like(self.mean), math.sqrt(2.0) * self.deviation).mean(0)
+        shifts = np.unique(np.linspace(1, count - 1, min(SHIFTS, count - 1)).round().astype(int)) if count > 1 else []
+        others = torch.zeros_like(error)
+        for k in shifts:
+            apart = torch.hypot(self.deviation, self.deviation.roll(int(k), 0))
+            others += _spread(self.mean - self.mean.roll(int(k), 0), apart).mean(0) / len(shifts)
+        return error - 0.5 * (own + (count - 1) * others) / count
 
 
 def _spread(m: torch.Tensor, s: torch.Tensor) -> torch.Tensor:

@@ -10,11 +10,14 @@ from ..sim.model import Model
 from ..sim.tree import Joint, Tree
 from .case import JointCase
 from .case_joints import JointSpec
+from .joint_guess import guess_joint
 from .plant import Parameter, Write
 
 
 class JointPlant:
     """Joints on a fixed frame, each with its own inertia, spring, damper and gravity torque; nulls are unknown.
+
+    So is a constant offset of every measured effort.
 
     A revolute joint turns about the horizontal y axis; a prismatic one slides along x. The gravity torque
     -A sin(q - zero) is that of a mass hanging beside the joint (1 kg at A / g where A is unknown); the moment of
@@ -22,6 +25,8 @@ class JointPlant:
     """
 
     G = 9.81
+    #: Largest phase an oscillation may turn by in a step [rad]: a first-order step then errs by a few percent of it.
+    TURN = 0.1
 
     def __init__(self, case: JointCase) -> None:
         self.joints: tuple[JointSpec, ...] = tuple(j for j in case.joints if isinstance(j, JointSpec))
@@ -29,32 +34,53 @@ class JointPlant:
         self.substep = 1e-3
         self._slots: list[tuple[int, str]] = []
         found: list[Parameter] = []
-        fastest = (0.25 / case.dt) ** 2
+        fastest = (2.0 / case.dt) ** 2  # three samples a period
         slowest = (1.0 / max(t.t[-1] for t in case.trajectories)) ** 2
         for i, joint in enumerate(self.joints):
-            found += self._unknowns(i, joint, slowest, fastest)
+            found += self._unknowns(i, joint, slowest, fastest, guess_joint(case, joint))
+            found += self._offset(i, joint, case)
         if not found:
             raise InputError(case.folder / "meta.yaml", "mechanism.joints", "no unknown", "at least one null")
         self.parameters = tuple(found)
         self.tree = self._tree(case.name)
 
-    def _unknowns(self, i: int, joint: JointSpec, slowest: float, fastest: float) -> list[Parameter]:
+    def _unknowns(
+        self, i: int, joint: JointSpec, slowest: float, fastest: float, guess: dict[str, float]
+    ) -> list[Parameter]:
         turn = "rad" if joint.type == "revolute" else "m"
         force = "N m" if joint.type == "revolute" else "N"
-        inertia = joint.inertia or 1.0
+        inertia = joint.inertia or guess.get("inertia", 1.0)
+        self._resolve(inertia, joint.stiffness or guess.get("stiffness", 0.0))
         out = []
         for name, value, unit, low, high in (
-            ("inertia", joint.inertia, "kg m^2" if turn == "rad" else "kg", 1e-6, 1e6),
+            ("inertia", joint.inertia, "kg m^2" if turn == "rad" else "kg", 1e-6 * inertia, 1e6 * inertia),
             ("stiffness", joint.stiffness, f"{force}/{turn}", inertia * slowest, inertia * fastest),
             ("damping", joint.damping, f"{force} s/{turn}", inertia * 1e-3 * slowest**0.5, inertia * fastest**0.5),
         ):
             if value is None:
-                out.append(Parameter(f"{name} {joint.name}", unit, low, high))
+                out.append(Parameter(f"{name} {joint.name}", unit, low, high, _inside(guess.get(name), low, high)))
                 self._slots.append((i, name))
         if joint.gravity_torque is not None and joint.gravity_torque.amplitude is None:
-            out.append(Parameter(f"gravity torque {joint.name}", force, inertia * slowest, inertia * fastest))
+            low, high = inertia * slowest, inertia * fastest
+            typical = _inside(guess.get("gravity"), low, high)
+            out.append(Parameter(f"gravity torque {joint.name}", force, low, high, typical))
             self._slots.append((i, "gravity"))
         return out
+
+    def _offset(self, i: int, joint: JointSpec, case: JointCase) -> list[Parameter]:
+        """Return the constant by which a sensor of effort reads zero off, of any size up to what was measured."""
+        driven = [k for k, item in enumerate(case.inputs) if item.joint == joint.name]
+        most = max(float(np.abs(t.effort[:, driven]).max(initial=0.0)) for t in case.trajectories)
+        if most == 0.0:
+            return []
+        self._slots.append((i, "preload"))
+        unit = "N m" if joint.type == "revolute" else "N"
+        return [Parameter(f"offset {joint.name}", unit, -most, most, 0.0, "linear")]
+
+    def _resolve(self, inertia: float, stiffness: float) -> None:
+        """Shorten the step so that an oscillation of the guessed frequency turns by at most `TURN` a step."""
+        if stiffness > 0.0:
+            self.substep = min(self.substep, self.TURN * (inertia / stiffness) ** 0.5)
 
     def _tree(self, name: str) -> Tree:
         n = len(self.joints)
@@ -101,3 +127,8 @@ class JointPlant:
                     write("inertia" if revolute else "mass", place, c, v)
             else:
                 write(name, place, 0, v)
+
+
+def _inside(value: float | None, low: float, high: float) -> float | None:
+    """Return a guess where there is one inside its box."""
+    return value if value is not None and low < value < high else None

@@ -22,6 +22,8 @@ from .target import Target
 
 #: A start state that was not measured is taken from this much of a held-out recording [s].
 START_WINDOW = 0.3
+#: Windows of a recording in which misfit is set against amplitude.
+WINDOWS = 12
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,21 @@ class Prediction:
     def residual(self) -> list[Array]:
         """Measured minus median."""
         return [m - p for m, p in zip(self.measured, self.median, strict=True)]
+
+    def by_amplitude(self) -> tuple[Array, Array]:
+        """Return the rms of what was measured (about its mean) and of the misfit in windows, shapes [W], by amplitude.
+
+        Every recording gives up to `WINDOWS` windows of equal length. What grows with the amplitude, the model lacks;
+        noise does not.
+        """
+        pairs = []
+        for y, m in zip(self.measured, self.median, strict=True):
+            y, m = y[:, list(self.main)], m[:, list(self.main)]
+            centred = y - y.mean(axis=0)
+            for part in np.array_split(np.arange(len(y)), min(WINDOWS, max(1, len(y) // 10))):
+                pairs.append([np.sqrt(np.mean(centred[part] ** 2)), np.sqrt(np.mean((y - m)[part] ** 2))])
+        amplitude, misfit = np.array(sorted(pairs)).T
+        return amplitude, misfit
 
     def _all(self, name: str) -> Array:
         return np.concatenate([a[:, list(self.main)].ravel() for a in getattr(self, name)])

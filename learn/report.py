@@ -63,6 +63,21 @@ class ReportFigure:
 
 
 @dataclass(frozen=True)
+class ReportTable:
+    """A plain table: its title, header, rows as wide as the header, and a note on how to read it (may be empty)."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: list[tuple[object, ...]]
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        for i, row in enumerate(self.rows):
+            if len(row) != len(self.header):
+                raise ValueError(f"table {self.title!r}, row {i}: {len(row)} cells under {len(self.header)} headings")
+
+
+@dataclass(frozen=True)
 class ReportContent:
     """What a report says.
 
@@ -75,6 +90,7 @@ class ReportContent:
         figures: Figures in reading order.
         details: How it was computed: settings, versions, seeds, machine.
         further: Where to read on: pairs of a file, command or page and what it holds.
+        tables: Plain tables before the figures, each a section of its own.
     """
 
     title: str
@@ -85,6 +101,7 @@ class ReportContent:
     figures: list[ReportFigure] = field(default_factory=list)
     details: dict[str, object] = field(default_factory=dict)
     further: list[tuple[str, str]] = field(default_factory=list)
+    tables: list[ReportTable] = field(default_factory=list)
 
 
 def write_report(folder: str | Path, content: ReportContent) -> Path:

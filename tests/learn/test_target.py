@@ -78,6 +78,21 @@ def test_gradient_agrees_with_float64_reference(case):
     assert np.abs(ours - reference).max() < 0.01 * np.abs(reference).max() + 0.02 * np.abs(reference).mean()
 
 
+def test_derivatives_from_nearby_move_the_gradient_little(case):
+    """Combine residuals here with derivatives taken a few percent away: off by about their own relative change."""
+    target = Target(case, recordings(case), torch.tensor([0.05]))
+    start = torch.tensor(RUNS, dtype=torch.float64).flatten()
+    here, near = (
+        torch.cat([torch.log(torch.tensor([K * k, D])).double(), start, target.log_noise0])[None] for k in (1.02, 1.03)
+    )
+    fresh = target.evaluate(here)
+    stale = target.evaluate(here, target.evaluate(near).derivative)
+    assert stale.log_posterior == fresh.log_posterior
+    # the phase at the end, w t = 19 rad, moves by 0.5 % of itself: derivatives turn by about a tenth
+    assert (stale.gradient - fresh.gradient).abs().max() < 0.2 * fresh.gradient.abs().max()
+    assert (stale.gradient != fresh.gradient).any()
+
+
 def test_noise_gradient_by_hand(case):
     """D log p / d log s = sum r^2 / s^2 - N, plus the prior's zero at its centre."""
     target = Target(case, recordings(case), torch.tensor([0.05]))
