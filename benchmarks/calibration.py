@@ -8,7 +8,7 @@ Four studies, each unit of which is one branch, identified with default settings
   ball joints; springs and dampers drawn from the prior that inference is given too: Young's modulus log-normal about
   500 MPa, a factor of four within two deviations; relaxation time D / K log-normal about 20 ms, a factor of e within
   two. Pushes do not depend on the truth. The rank of the truth among the particles is then uniform for every
-  parameter. Half as many branches again, of one and of two segments, count for the intervals of K alone.
+  parameter. As many branches of one and of two segments count for the intervals of K alone.
 - ``others``: 30 branches that C MuJoCo simulated with three links a segment and wood that bends between them; 1, 3 and
   5 % noise; one to three segments. Coverage of held-out displacement, error of K.
 - ``grasp``: learnt from pushes at 0.9 of the last segment's length, tested at 0.5 and 0.75.
@@ -200,7 +200,7 @@ STUDIES: dict[str, Callable[[Path, int, int, np.random.Generator], Unit]] = {
 def plan(branches: int, seed: int) -> list[Unit]:
     """Return every unit, the studies interleaved: study, index, number of segments and seed."""
     sizes = {
-        "ranks": [3] * branches + [1, 2] * (branches // 4), "others": [1 + i % 3 for i in range(OTHERS)],
+        "ranks": [3] * branches + [1, 2] * branches, "others": [1 + i % 3 for i in range(OTHERS)],
         "grasp": [1 + i % 3 for i in range(BRANCHES)], "force": [1 + i % 3 for i in range(BRANCHES)],
     }  # fmt: skip
     units = [

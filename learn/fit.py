@@ -66,7 +66,7 @@ def levenberg_marquardt(
         cost = 0.5 * (residual**2).sum((-1, -2, -3)) - target.prior(trial)
         better = (cost < best_cost) & torch.isfinite(cost)
         rows = _white_rows(target, jacobian_rows(target, derivative) * window[..., None], noise)
-        normal = rows.transpose(1, 2) @ rows
+        normal = rows.transpose(1, 2) @ rows + prior_curvature(target, trial)[:, :free, :free]
         pull = (rows.transpose(1, 2) @ residual.flatten(1)[..., None])[..., 0] + _prior_gradient(target, trial)[
             :, :free
         ]
@@ -117,6 +117,16 @@ def _solve(normal: torch.Tensor, pull: torch.Tensor, damping: torch.Tensor) -> t
 def _prior_gradient(target: Target, theta: torch.Tensor) -> torch.Tensor:
     leaf = theta.detach().requires_grad_()
     return torch.autograd.grad(target.prior(leaf).sum(), leaf)[0]
+
+
+def prior_curvature(target: Target, theta: torch.Tensor) -> torch.Tensor:
+    """Return the negative Hessian of the log prior, without its negative directions, shape [S, D, D].
+
+    A narrow prior (an earlier posterior, the wall of the box) would else pull with a force that no curvature answers.
+    """
+    hessian = torch.func.vmap(torch.func.hessian(target.prior))(theta.detach())
+    value, vector = torch.linalg.eigh(torch.nan_to_num(-0.5 * (hessian + hessian.transpose(1, 2))))
+    return (vector * value.clamp(min=0.0)[:, None]) @ vector.transpose(1, 2)
 
 
 def settle_noise(target: Target, theta: torch.Tensor) -> torch.Tensor:
@@ -185,7 +195,7 @@ def precision_at(target: Target, theta: torch.Tensor) -> torch.Tensor:
     for g in range(target.num_noise):
         full[:, free + g, free + g] = 2.0 * target.per_group[g]
     # a floor of one e-fold on what the data do not determine, so that no particle is thrown across decades
-    return full + torch.eye(target.num_dims, dtype=torch.float64, device=theta.device)
+    return full + prior_curvature(target, theta) + torch.eye(target.num_dims, dtype=torch.float64, device=theta.device)
 
 
 def _published_rows(target: Target, theta: torch.Tensor, derivative: torch.Tensor) -> torch.Tensor:

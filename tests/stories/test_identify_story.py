@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
-QUICK = ("--particles", 24, "--iterations", 14)
+QUICK = ("--particles", 24)
 
 
 @pytest.fixture(scope="module")
