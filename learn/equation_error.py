@@ -159,7 +159,7 @@ class EquationError(Rollout):
         for j, r in enumerate(self.recordings):
             motion[j, : len(r.t) * len(place)] = r.input.reshape(-1, 3)
         watched = [place[item.joint] for item in case.inputs]
-        trajectory = np.repeat(np.arange(count), self._blocks)
+        trajectory = np.repeat(np.arange(count), self.blocks)
         integers: list[Any] = [
             wp.array(v, dtype=int, device=dev) for v in (list(place.values()), watched, trajectory, self._samples)
         ]
