@@ -186,7 +186,7 @@ def branch_settings(case: BranchCase) -> list[Setting]:
                 torque=max(force, 1e-9) * float(lever), angle=max(moved, 1e-6) / float(reach),
                 rate=max(speed, 1e-6) / float(reach), force=max(force, 1e-9), speed=max(speed, 1e-6),
                 area=float((case.length * case.radius.sum(axis=1)).sum()), mass=float(case.mass.sum()),
-                length=float(case.length[case.grasp_segment]), gravity=case.gravity, dt=case.dt,
+                length=float(case.length[case.grasp_segment]), gravity=case.gravity or 9.81, dt=case.dt,
                 start=case.trajectories[0].t_start, end=last.t_start + float(last.t[-1]), duration=float(last.t[-1]),
             )
         )  # fmt: skip

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import div, dot, mul
+from ...kernels.algebra import add, div, dot, mul, sub
 from ...kernels.real import fma, real, sqrt_, where_neg
 from .registry import Effect, EffectParameter, Law, register
 

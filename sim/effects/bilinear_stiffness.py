@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, dot, mul, sub
+from ...kernels.algebra import add, div, dot, mul, sub
 from ...kernels.real import cos_root, fma, real, sin_ratio, sqrt_, where_neg
 from .registry import Effect, EffectParameter, Law, register
 

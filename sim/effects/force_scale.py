@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import div, mul
+from ...kernels.algebra import add, div, mul, sub
 from ...kernels.real import real
 from .registry import Effect, EffectParameter, Law, register
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import div, dot, mul, sub
+from ...kernels.algebra import add, div, dot, mul, sub
 from ...kernels.real import real, sqrt_
 from .registry import Effect, EffectParameter, Law, register
 

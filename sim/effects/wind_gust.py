@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, mul, sub
+from ...kernels.algebra import add, div, mul, sub
 from ...kernels.real import cos_root, fma, fnma, real, round_, sin_ratio
 from .registry import Effect, EffectParameter, Law, register
 
