@@ -9,8 +9,8 @@ ones it is built with; the plain step (`articulated`) knows nothing of them.
 ``link``   ``law(b, p)`` takes a `LinkState` and returns the force on the link's centre of area, world axes [N]
 ``force``  ``law(g, p)`` takes a `ForceState` and returns the force that truly acts, from what the sensor recorded [N]
 
-``p`` holds up to six parameters, ``p.a`` to ``p.f``, in the order in which the effect lists them. A ball joint's angle is
-its rotation vector from rest and its rate the angular velocity, both in the link's frame; other joints use x alone.
+``p`` holds up to six parameters, ``p.a`` to ``p.f``, in the order in which the effect lists them. A ball joint's angle
+is its rotation vector from rest and its rate the angular velocity, both in the link's frame; other joints use x alone.
 
 Damping that a law reports is implicit in the step, so that a law as steep as dry friction at rest stays stable. A ball
 joint's stiffness beyond its own spring brings the least damper that an explicit spring needs there (half a step times

@@ -40,9 +40,7 @@ def hat(x: Any):
 
 
 @wp.func
-def shifted(
-    input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, c: int, share: wp.float64, lag: Any
-):
+def shifted(input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, c: int, share: wp.float64, lag: Any):
     """What a shift of the recording by ``lag`` samples adds to its value ``share`` of a sample after sample k."""
     here = real(share, lag)
     most = real(float(DELAY), lag)
@@ -58,7 +56,9 @@ def shifted(
 
 
 @wp.func
-def slid(fx: Any, e: int, k: int, force_along: Any, mobility: Any, least: Any, low: wp.float64, high: wp.float64, h: Any):
+def slid(
+    fx: Any, e: int, k: int, force_along: Any, mobility: Any, least: Any, low: wp.float64, high: wp.float64, h: Any
+):
     """Advance how far the grip has slid [m]: rate = mobility (|force| - least) along the segment, inside its ends."""
     z = fx.memory[e, k]
     o = real(0.0, mobility)
@@ -82,7 +82,7 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
     """
     parts = step_of(width, precision, terms)
     t, key, advance, force_law = parts.types, parts.key, parts.advance, parts.force
-    Model, State, Load, Scratch, Real, Vec = t.Model, t.State, t.Load, t.Scratch, t.Real, t.Vec
+    Model, State, Load, Scratch, Real, Vec, Quat = t.Model, t.State, t.Load, t.Scratch, t.Real, t.Vec, t.Quat
     Effects, ForceState = t.Effects, t.ForceState
     slots = {term.kind: term.slot for term in terms}
     has_tip, tip_slot = parts.has_tip, parts.tip_slot
@@ -190,12 +190,15 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
         h: wp.float64,
         bound: wp.float64,
         output_out: wp.array2d(dtype=Real),
+        track: int,
+        coordinate_out: wp.array2d(dtype=Quat),
     ):
         """Push links at their load points as recorded (force x, y, z and whether the gripper holds, 1 or 0).
 
         ``settling`` 1 lets worlds come to rest under wind first; displacement is counted from the calm pose all the
-        same. ``grip`` [recordings, 8] holds the grasp point and the segment's direction in the link's frame, and how far the
-        grip may slide down (negative) and up. A recording is written at sample ``offset``, or not where that is negative.
+        same. ``grip`` [recordings, 8] holds the grasp point and the segment's direction in the link's frame, and how
+        far the grip may slide down (negative) and up. With ``track`` 1 the joints' coordinates are written too. A
+        recording is written at sample ``offset``, or not where that is negative.
         """
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
@@ -239,6 +242,9 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                     output_out[e, 6 * (at + k) + 3] = v.x
                     output_out[e, 6 * (at + k) + 4] = v.y
                     output_out[e, 6 * (at + k) + 5] = v.z
+                    if track == 1:
+                        for i in range(m.count[e] + 1):
+                            coordinate_out[e, (at + k) * fx.stride + i] = x_in_out.coordinate[e, i]
                 if k < n - 1:
                     for step in range(substeps):
                         recorded = Vec(

@@ -76,6 +76,13 @@ class EffectArrays:
             self.arrays["area"].torch[:, :, place, 0] = float(branch.length[i] * (a[i] + b[i]))
             self.arrays["centre"].torch[:, :, place] = torch.as_tensor(local).to(self.arrays["centre"].torch)
 
+    def track(self, rollout: Rollout) -> LaneArray:
+        """Return memory for the joints' coordinates at every sample, of one entry where they are not tracked."""
+        m = rollout.model
+        samples = rollout._output.torch.shape[2] // 6
+        self.arrays["track"] = m.field("Quat", places=samples * (m.places + 1) if rollout.track else 1)
+        return self.arrays["track"]
+
     def refresh(self, rollout: Rollout, values: torch.Tensor) -> None:
         """Take over the dampers that the plant has just been given and mark the worlds that rest under a load."""
         self.arrays["damping"].torch.copy_(rollout.simulator._damping.torch)
@@ -99,11 +106,13 @@ def prepare(rollout: Rollout) -> tuple[EffectArrays, Callable[[], None]]:
         before += _recorded(rollout, rollout.recordings)
         kernel = kernels.joint
     after = [rollout.substeps, sim.dt / rollout.substeps, sim.max_speed, rollout.allocate_output().kernel]
+    if isinstance(plant, BranchPlant):
+        after += [int(rollout.track), fx.track(rollout).kernel]
     return fx, sim._launcher.prepare(kernel, before, after)
 
 
 def _recorded(rollout: Rollout, sequence: Sequence[Recording]) -> list[Any]:
-    """What each group replays, how long that is, when it begins, and what acts, for joints."""
+    """Return what each group replays, how long that is, when it begins, and what acts, for joints."""
     device = rollout.device
     which = np.repeat(np.arange(len(sequence)), rollout.blocks)
     return [
@@ -176,7 +185,7 @@ def _grip(rollout: Rollout, recording: Recording) -> Array:
 
 
 def _stacked(rows: Sequence[Array]) -> Array:
-    """Inputs of all recordings [recordings, longest, columns], zero past their ends."""
+    """Return inputs of all recordings [recordings, longest, columns], zero past their ends."""
     out = np.zeros((len(rows), max(len(r) for r in rows), max(1, rows[0].shape[1])))
     for j, r in enumerate(rows):
         out[j, : len(r), : r.shape[1]] = r

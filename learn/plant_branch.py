@@ -168,7 +168,9 @@ class BranchPlant:
 
         mass, frame = fixed(self.tree.mass[self.first :]) * share, fixed(links.frame[self.first :])
         world, turn = weight.turned_chain(fixed(axis_rotation(self.branch.elevation, self.branch.azimuth)), tilt)
-        held = weight.holding_torque(mass, fixed(self.tree.com[self.first :]), fixed(self.branch.length), world, self.branch.gravity)
+        held = weight.holding_torque(
+            mass, fixed(self.tree.com[self.first :]), fixed(self.branch.length), world, self.branch.gravity
+        )
         if self.first:  # the pivot below carries the same moment: its own arm is along the weight
             below = weight.rotate(world[:, 0], held[:, 0])
             for c in range(3):

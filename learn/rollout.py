@@ -94,8 +94,10 @@ class Rollout:
 
     def __init__(
         self, case: BranchCase | JointCase, chosen: Sequence[Recording], num_sets: int, *,
-        unknowns: Unknowns | None = None, device: Any = None,
+        unknowns: Unknowns | None = None, device: Any = None, track: bool = False,
     ) -> None:  # fmt: skip
+        """Build the worlds; with ``track`` those of a branch with effects note their joints' coordinates too."""
+        self.track = track
         self.case, self.plant = case, plant_of(case, unknowns)
         self.recordings = list(chosen)
         self.num_sets, self.num_locals = num_sets, chosen[0].start.size
@@ -139,6 +141,13 @@ class Rollout:
         places = len(self.recordings) // self._chains * int(self._samples.max()) * self.channels
         self._output = self.model.field("Real", places=places)
         return self._output
+
+    def coordinates(self) -> torch.Tensor:
+        """Return the tracked coordinates of the last call, kernel quaternions [S, R, T, places + 1, 4]."""
+        assert self.effects is not None and self.track
+        out = self.effects.arrays["track"].torch.unflatten(0, (self._chains, self.blocks))
+        out = out.flatten(1, 2)[:, : self.num_sets].transpose(0, 1)
+        return out.reshape(self.num_sets, len(self.recordings), -1, self.model.places + 1, 4)
 
     def place_marks(self, array: LaneArray, marks: torch.Tensor) -> None:
         """Write one number a padded set [sets] into the worlds of all recordings."""

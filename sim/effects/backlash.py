@@ -11,7 +11,7 @@ from .registry import Effect, EffectParameter, Law, register
 
 @wp.func
 def backlash(j: Any, p: Any, r: Any):
-    """tau = +K phi min(1, g / |phi|): what is left of the spring is -K (phi - g phi / |phi|) outside the gap, 0 inside."""
+    """tau = +K phi min(1, g / |phi|): the spring is left -K (phi - g phi / |phi|) outside the gap, 0 inside."""
     o = real(0.0, p.a)
     one = real(1.0, o)
     size = sqrt_(fma(dot(j.angle, j.angle), one, real(1.0e-20, o)))

@@ -8,7 +8,6 @@ from ...kernels.algebra import add, div, dot, mul, sub
 from ...kernels.real import cos_root, fma, real, sin_ratio, sqrt_, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
-
 #: Half-width of the change of slope at zero [rad].
 WIDTH = wp.constant(wp.float64(0.005))
 

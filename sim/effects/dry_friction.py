@@ -8,7 +8,6 @@ from ...kernels.algebra import add, div, dot, mul, sub
 from ...kernels.real import fma, real, sqrt_
 from .registry import Effect, EffectParameter, Law, register
 
-
 #: Speed [rad/s or m/s] over which the friction changes sign; below it the joint creeps instead of sticking.
 CREEP = wp.constant(wp.float64(0.01))
 

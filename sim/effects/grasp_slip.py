@@ -15,8 +15,11 @@ EFFECT = register(
             "grasp_slip",
             (
                 EffectParameter(
-                    "mobility_mpNs", "m/(N s)", lambda s: 0.01 * s.length / (s.force * s.duration),
-                    lambda s: 10.0 * s.length / (s.force * s.duration), scale="log",
+                    "mobility_mpNs",
+                    "m/(N s)",
+                    lambda s: 0.01 * s.length / (s.force * s.duration),
+                    lambda s: 10.0 * s.length / (s.force * s.duration),
+                    scale="log",
                 ),
                 EffectParameter("least_N", "N", lambda s: 0.02 * s.force, lambda s: s.force, scale="log"),
             ),

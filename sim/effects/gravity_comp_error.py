@@ -27,8 +27,9 @@ EFFECT = register(
         branch=Law(
             "force",
             (
-                EffectParameter("mass_kg", "kg", lambda s: -0.3 * s.force / s.gravity,
-                                lambda s: 0.3 * s.force / s.gravity),
+                EffectParameter(
+                    "mass_kg", "kg", lambda s: -0.3 * s.force / s.gravity, lambda s: 0.3 * s.force / s.gravity
+                ),
                 EffectParameter("tared", "1", 0.0, 1.0, 1.0),
             ),
             gravity_comp_error,

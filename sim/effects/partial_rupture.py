@@ -8,7 +8,6 @@ from ...kernels.algebra import add, div, mul, sub
 from ...kernels.real import real, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
-
 #: Time that the fibres take to part [s].
 BREAKING = wp.constant(wp.float64(0.05))
 

@@ -34,8 +34,11 @@ EFFECT = register(
             "link",
             (
                 EffectParameter(
-                    "coefficient_kgpm3", "kg/m^3", lambda s: 0.005 * s.force / (s.area * s.speed**2),
-                    lambda s: 3.0 * s.force / (s.area * s.speed**2), scale="log",
+                    "coefficient_kgpm3",
+                    "kg/m^3",
+                    lambda s: 0.005 * s.force / (s.area * s.speed**2),
+                    lambda s: 3.0 * s.force / (s.area * s.speed**2),
+                    scale="log",
                 ),
             ),
             drag_on_link,
@@ -45,8 +48,11 @@ EFFECT = register(
             "joint",
             (
                 EffectParameter(
-                    "coefficient_Nms2", "N m s^2/rad^2", lambda s: 1e-4 * s.torque / s.rate**2,
-                    lambda s: 3.0 * s.torque / s.rate**2, scale="log",
+                    "coefficient_Nms2",
+                    "N m s^2/rad^2",
+                    lambda s: 1e-4 * s.torque / s.rate**2,
+                    lambda s: 3.0 * s.torque / s.rate**2,
+                    scale="log",
                 ),
             ),
             drag_at_joint,

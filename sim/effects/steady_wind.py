@@ -25,8 +25,9 @@ EFFECT = register(
         branch=Law(
             "link",
             tuple(
-                EffectParameter(f"pressure_{c}_Pa", "Pa", lambda s: -0.5 * s.force / s.area,
-                                lambda s: 0.5 * s.force / s.area)
+                EffectParameter(
+                    f"pressure_{c}_Pa", "Pa", lambda s: -0.5 * s.force / s.area, lambda s: 0.5 * s.force / s.area
+                )
                 for c in "xyz"
             ),
             steady_wind,

@@ -8,13 +8,12 @@ from ...kernels.algebra import add, div, mul, sub
 from ...kernels.real import cos_root, fma, fnma, real, round_, sin_ratio
 from .registry import Effect, EffectParameter, Law, register
 
-
 PI = wp.constant(wp.float64(3.141592653589793))
 
 
 @wp.func
 def wind_gust(b: Any, p: Any):
-    """F = A (s sin 2 pi f t + c cos 2 pi f t), horizontal, t on the absolute clock; half angles keep the series short."""
+    """F = A (s sin 2 pi f t + c cos 2 pi f t), horizontal, t on the absolute clock, by half angles."""
     cycles = p.e * b.time
     half = (cycles - round_(cycles)) * real(PI, cycles)
     u = half * half
@@ -42,7 +41,10 @@ EFFECT = register(
         branch=Law(
             "link",
             (
-                _pressure("sine_x_Pa"), _pressure("cosine_x_Pa"), _pressure("sine_y_Pa"), _pressure("cosine_y_Pa"),
+                _pressure("sine_x_Pa"),
+                _pressure("cosine_x_Pa"),
+                _pressure("sine_y_Pa"),
+                _pressure("cosine_y_Pa"),
                 EffectParameter("frequency_Hz", "Hz", lambda s: 0.5 / s.duration, lambda s: 0.2 / s.dt, scale="log"),
             ),
             wind_gust,

@@ -16,7 +16,7 @@ H = 1e-3  # the hinge's step: first order, so that amplitudes are right to W H /
 
 
 def peaks(t, q):
-    """Times and values of the extrema of a sampled angle, by parabolas through three samples."""
+    """Return times and values of the extrema of a sampled angle, by parabolas through three samples."""
     at = np.flatnonzero(np.diff(np.sign(np.diff(q)))) + 1
     a, b, c = q[at - 1], q[at], q[at + 1]
     shift = 0.5 * (a - c) / (a - 2 * b + c)
@@ -24,7 +24,7 @@ def peaks(t, q):
 
 
 def integrate(t, torque, q0, v0, extra=()):
-    """Angle and rate of J q'' = torque(t, q, v, z) with further states z, dz = torque's second result."""
+    """Return angle and rate of J q'' = torque(t, q, v, z) with further states z, dz = torque's second result."""
 
     def slope(time, y):
         force, dz = torque(time, y[0], y[1], y[2:])
@@ -139,7 +139,7 @@ def test_plastic_set_stays(tmp_path):
 
 
 def pulse(t):
-    """A torque that changes slope at samples only."""
+    """Return a torque that changes slope at samples only."""
     return 10.0 * np.interp(t, [0, 0.5, 0.7, 1.0, 1.3], [0, 0, 1, -1, 0])
 
 
@@ -172,7 +172,7 @@ FORCE = np.array([2.0, -3.0, 1.5])
 
 
 def held(n=200, force=FORCE):
-    """A force that rises in 0.4 s and stays."""
+    """Return a force that rises in 0.4 s and stays."""
     return np.interp(np.arange(n), [5, 25], [0.0, 1.0])[:, None] * force
 
 
@@ -182,7 +182,7 @@ def stick(case, **on):
 
 
 def settled(out):
-    """Displacement at the end, at rest there."""
+    """Return the displacement at the end, at rest there."""
     assert np.abs(out[-1, 3:]).max() < 2e-3
     return out[-1, :3]
 
@@ -338,8 +338,8 @@ def test_plastic_set_passes_to_the_next_recording(tmp_path):
 def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
     """Give the same bits in lanes as one world a thread, with laws of every kind on."""
     case = stick_case(tmp_path / "c", [held(60), held(60, -FORCE)])
-    acting = tuple(Acting(n, j) for n, j in (("hysteresis_boucwen", 0), ("plastic_set", 0), ("wind_gust", None),
-                                             ("steady_wind", None), ("time_delay", None), ("tip_mass", None)))  # fmt: skip
+    at_joint, elsewhere = ("hysteresis_boucwen", "plastic_set"), ("wind_gust", "steady_wind", "time_delay", "tip_mass")
+    acting = (*(Acting(n, 0) for n in at_joint), *(Acting(n) for n in elsewhere))
     values = torch.tensor([[KS, DS, 0.3, 0.05, 0.4, 0.05, 20, 30, -20, 5, 0.9, 10, 5, -5, 0.01, 0.02]])
     outs = []
     for width in (1, 8):

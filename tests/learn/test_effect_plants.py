@@ -1,4 +1,4 @@
-"""Effects that change the structure against MuJoCo models built for it; every effect recovered where it is the truth."""
+"""Effects that change the structure against MuJoCo models built for it; every effect recovered where it is true."""
 
 from dataclasses import replace
 
@@ -25,14 +25,14 @@ N, DT = 120, 0.02
 
 
 def push(scale=1.0, n=N):
-    """A force that rises, wobbles, and is let go, [T, 3]."""
+    """Return a force that rises, wobbles, and is let go, [T, 3]."""
     t = np.arange(n) * DT
     size = np.where(t < 1.0, np.interp(t, [0.1, 0.5], [0, 1]) * (1 + 0.3 * np.sin(9 * t)), 0.0)
     return scale * size[:, None] * np.array([2.0, -3.0, 1.5])
 
 
 def by_mujoco(tree: Tree, link: int, force, substeps=80):
-    """Displacement [T, 3] of the point 0.4 m along a link under a force that is linear between samples."""
+    """Return the displacement [T, 3] of the point 0.4 m along a link under a force that is linear between samples."""
     model, data = compiled(tree, DT / substeps)
     held = data.qfrc_applied.copy()
     mujoco.mj_forward(model, data)
@@ -124,7 +124,7 @@ FIXED_AT_TRUTH = {"gravity_comp_error": ("tared",), "wind_gust": ("frequency_Hz"
 
 
 def switched_off(name):
-    """Every other effect, known to be off: one kernel does for all tests (but for the trunk, which is a link more)."""
+    """Return every other effect, known to be off: one kernel does for all tests but the trunk's."""
     others = () if name == "base_compliance" else [e for e in effects() if e.name in {*BRANCH_TRUTH} - {name}]
     return [Acting(e.name, 0 if e.branch.per_joint else None, {p.name: p.neutral for p in e.branch.parameters})
             for e in others if e.name != "base_compliance"]  # fmt: skip
@@ -138,7 +138,7 @@ def test_every_effect_is_recovered_below():
 
 @pytest.fixture(scope="module")
 def stick(tmp_path_factory):
-    """Two probes of a stick, in opposite directions, with open rows at both ends."""
+    """Probe a stick twice, in opposite directions, with open rows at both ends."""
     open_ends = [(0.0, 0.08), (1.04, (N - 1) * DT)]
     case = stick_case(tmp_path_factory.mktemp("stick"), [push(2.0), push(-1.5)[:, [1, 0, 2]]], opened=open_ends)
     moved = tuple(replace(t, displacement=t.displacement + 0.2 * np.eye(3)[0], velocity=t.velocity + 1.0)
@@ -168,8 +168,8 @@ def test_truth_is_recovered(stick, name):
     best = modes.theta[modes.log_posterior.argmax(), : len(parameters)]
     # exact data: what is left is the noise assumed, four standard deviations of it
     spread = torch.linalg.inv(modes.precision[modes.log_posterior.argmax()]).diagonal().sqrt()[: len(parameters)]
-    assert ((best - free[0]).abs() < 4 * spread + 0.02 * torch.where(log, 1.0, free[0].abs())).all(), (
-        list(zip([p.name for p in parameters], best.tolist(), free[0].tolist(), spread.tolist(), strict=True))
+    assert ((best - free[0]).abs() < 4 * spread + 0.02 * torch.where(log, 1.0, free[0].abs())).all(), list(
+        zip([p.name for p in parameters], best.tolist(), free[0].tolist(), spread.tolist(), strict=True)
     )
     assert spread[2] < torch.where(log[2], 0.3, 0.3 * free[0, 2].abs())  # the data does tell
 

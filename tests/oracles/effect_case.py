@@ -53,8 +53,9 @@ def stick_case(folder: Path, forces, *, gravity=9.81, dt=0.02, elevation=35.0, a
         begin = 20.0 * k if starts is None else starts[k]
         items.append({"file": f"run_{k}.csv", "profile": "any", "t_start_s": begin, "no_contact": [*map(list, opened)]})
     a, b, density = 0.012, 0.010, 800.0
+    mass = float(density * np.pi * 0.5 * (a * a + a * b + b * b) / 3)
     segment = {"name": "stick", "length_m": 0.5, "radius_base_m": a, "radius_tip_m": b, "elevation_deg": elevation,
-               "azimuth_deg": azimuth, "mass_kg": float(density * np.pi * 0.5 * (a * a + a * b + b * b) / 3)}  # fmt: skip
+               "azimuth_deg": azimuth, "mass_kg": mass}  # fmt: skip
     meta = {"format": "branch-gap-case/1", "sample_rate_hz": 1.0 / dt, "n_samples": len(forces[0]),
             "gravity_mps2": gravity, "planar": False, "density_kgpm3": density, "base_position_m": [0.0, 0.0, 1.0],
             "trunk_pivot_below_base_m": 0.6, "segments": [segment], "noise_nominal": None, "trajectories": items,
