@@ -276,7 +276,7 @@ def centre_velocity(e: int, row: int, i: int, m: Any, s: Any, arm: Any):
 
 @cache
 def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamespace:
-    """Return the device functions ``advance`` (one step with all terms) and ``force`` (what truly acts)."""
+    """Return the device functions ``advance`` (one step with all terms), ``joint`` and ``force`` (the chains)."""
     t = effect_types(width, precision)
     key = f"{width}_{precision}_" + "_".join(term.name for term in terms)
     joint = chain_of("joint", terms, t, key)
@@ -361,5 +361,5 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
         advance_links(e, row, m, x, s, h, bound)
         x.tick[e] = x.tick[e] + 1
 
-    return SimpleNamespace(types=t, key=key, advance=wp.func(advance, name=f"advance_{key}"), force=force,
+    return SimpleNamespace(types=t, key=key, advance=wp.func(advance, name=f"advance_{key}"), joint=joint, force=force,
                            has_tip=has_tip, tip_slot=tip_slot)  # fmt: skip

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import torch
 from bough.learn.acting import Acting
+from bough.learn.case import load_case
+from bough.learn.equation_error import EquationError, torque_recordings
 from bough.learn.fit import find_modes
 from bough.learn.plant import free_of
 from bough.learn.plant_branch import Unknowns
@@ -17,6 +19,7 @@ from bough.sim.errors import InputError
 from bough.sim.measured import measured_tree
 from bough.sim.stiffness import hold_rest_pose
 from bough.sim.tree import Joint, Tree
+from oracles.arm_case import write_arm
 from oracles.effect_case import simulate, stick_case, swing_case
 from oracles.mujoco_tree import compiled
 
@@ -191,3 +194,23 @@ def test_faulty_effects_are_one_line(stick, tmp_path):
     hinge = swing_case(tmp_path / "swing", [(0.1, 0.0)])
     with pytest.raises(InputError, match="an effect that a joint case cannot have"):
         Rollout(hinge, recordings(hinge), 1, unknowns=Unknowns(effects=(Acting("tip_mass"),)))
+
+
+def test_torque_fit_takes_effects(tmp_path):
+    """Need T v / sqrt(v^2 + c^2) more at one joint and c v |v| more at the other; refuse what is not at a joint."""
+    case = load_case(write_arm(tmp_path / "arm", unknown=["damping"], seeds=(0,)))
+    chosen = torque_recordings(case)
+    acting = (Acting("dry_friction", 1), Acting("quadratic_drag", 0))
+    values = torch.tensor([[0.1, 0.2, 0.7, 0.3]])
+    plain = EquationError(case, chosen, 1)(values[:, :2])[0, 0].double().numpy().copy()
+    rollout = EquationError(case, chosen, 1, unknowns=Unknowns(effects=acting))
+    assert [p.name for p in rollout.plant.parameters[2:]] == ["dry_friction@1 torque_Nm",
+                                                             "quadratic_drag@0 coefficient_Nms2"]  # fmt: skip
+    rollout._output.torch.fill_(torch.nan)
+    extra = rollout(values)[0, 0].double().numpy() - plain
+    rate = chosen[0].input[:, [1, 4]]
+    np.testing.assert_allclose(extra[:, 0], 0.3 * rate[:, 0] * np.abs(rate[:, 0]), atol=2e-5)
+    np.testing.assert_allclose(extra[:, 1], 0.7 * rate[:, 1] / np.hypot(rate[:, 1], 0.01), atol=2e-5)
+    assert np.abs(extra).max(axis=0).min() > 0.1
+    with pytest.raises(InputError, match="force_scale in a torque fit"):
+        EquationError(case, chosen, 1, unknowns=Unknowns(effects=(Acting("force_scale", 0),)))
