@@ -31,8 +31,9 @@ def simulate_case(options: Simulate) -> int:
         from .model_file import check_fits, read_model
         from .replay import case_figure, replay  # torch and Warp, after what is quick to refuse
 
-        model = None if options.model is None else read_model(options.model)
-        if model is not None:
+        model = None
+        if options.model is not None:
+            model = read_model(options.model)
             check_fits(model, case, options.model)
         trajectory, grasp = replay(options, case, model)
         trajectory.save(folder / "trajectory.npz", grasp_displacement=grasp)

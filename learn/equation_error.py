@@ -186,7 +186,7 @@ class EquationError(Rollout):
                 raise InputError(self.case.folder / "meta.yaml", "effects", f"{name} in a torque fit", allowed)
         self.effects = EffectArrays(self)
         starts = [r.t_start + float(r.t[0]) for r in self.recordings]
-        begins = wp.array(starts, dtype=wp.float64, device=self.device)
+        begins: wp.array = wp.array(starts, dtype=wp.float64, device=self.device)
         spacing = float(self.recordings[0].t[1] - self.recordings[0].t[0])
         kernel = effect_efforts_kernel(m.width, m.precision, terms_of(acting.names, acting.form))
         before = [m.kernel, self.effects.kernel, *integers, begins, motion]

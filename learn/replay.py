@@ -62,7 +62,8 @@ def _with_effects(case: BranchCase, model: BranchModel, seconds: float) -> tuple
         frames.append([part.cpu().numpy().copy() for part in seen.observe()])
     pos, quat = (np.stack(part) for part in zip(*frames, strict=True))
     first = rollout.plant.first if isinstance(rollout.plant, BranchPlant) else 0
-    trajectory = Trajectory(case.dt * np.arange(count), list(case.segment_name), pos[:, :, first:], quat[:, :, first:],
+    time: Array = case.dt * np.arange(count, dtype=np.float64)
+    trajectory = Trajectory(time, list(case.segment_name), pos[:, :, first:], quat[:, :, first:],
                             _lost(rollout, len(case.trajectories)))  # fmt: skip
     return trajectory, grasp
 
@@ -141,7 +142,7 @@ def case_figure(case: BranchCase, time: Array, grasp: Array, named: str = "") ->
         figure.supylabel("displacement of the grasp point [cm]")
         figure.suptitle(
             "measured (dots) and simulated (lines)"
-            + (f" by {named}" if named else " with nominal springs; bough identify learns the springs")
+            + (f" by the model {named}" if named else " with nominal springs; bough identify learns the springs")
         )
         handles, names = axes[0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside right upper")
