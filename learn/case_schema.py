@@ -10,7 +10,7 @@ import difflib
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
@@ -34,7 +34,7 @@ _UNITS = {
 }  # fmt: skip
 
 
-class _Strict(BaseModel):
+class Strict(BaseModel):
     """Refuse unknown keys, non-finite numbers and silent conversions (``"3"`` is no number, ``true`` neither)."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
@@ -48,6 +48,9 @@ class _Strict(BaseModel):
         return data
 
 
+Checked = TypeVar("Checked", bound=Strict)
+
+
 def nearest(name: object, names: type[BaseModel] | Sequence[str]) -> str:
     """Return ``'x', or another of a, b, c`` where x is the allowed name nearest to ``name``."""
     allowed = list(names) if isinstance(names, Sequence) else list(names.model_fields)
@@ -56,7 +59,7 @@ def nearest(name: object, names: type[BaseModel] | Sequence[str]) -> str:
     return f"'{close[0]}' (all: {listed})" if close else f"one of {listed}"
 
 
-class SegmentMeta(_Strict):
+class SegmentMeta(Strict):
     """One segment of a branch: solid, straight, tapered; angles of its axis in the rest pose."""
 
     name: str = Field(min_length=1)
@@ -68,14 +71,14 @@ class SegmentMeta(_Strict):
     mass_kg: float = Field(gt=0, le=1e4)
 
 
-class GraspMeta(_Strict):
+class GraspMeta(Strict):
     """Where the gripper holds the branch."""
 
     segment: str
     distance_from_lower_end_m: NotNegative
 
 
-class BranchTrajectoryMeta(_Strict):
+class BranchTrajectoryMeta(Strict):
     """One recording on the branch; ``replicate_of`` counts from 1, ``grasp`` stands in for the case's own."""
 
     file: str = Field(min_length=1)
@@ -87,7 +90,7 @@ class BranchTrajectoryMeta(_Strict):
     grasp: GraspMeta | None = None
 
 
-class BranchMeta(_Strict):
+class BranchMeta(Strict):
     """``branch-gap-case/1``: a branch probed at a grasp point."""
 
     format: Literal["branch-gap-case/1"]
@@ -107,14 +110,14 @@ class BranchMeta(_Strict):
     conventions: str | None = None
 
 
-class GravityTorqueMeta(_Strict):
+class GravityTorqueMeta(Strict):
     """Gravity torque amplitude * sin(q - zero_angle) [N m, rad]; null amplitude = infer."""
 
     amplitude: Positive | None
     zero_angle: float = 0.0
 
 
-class JointSpecMeta(_Strict):
+class JointSpecMeta(Strict):
     """One joint; null = infer. Revolute: kg m^2, N m/rad, N m s/rad; prismatic: kg, N/m, N s/m."""
 
     name: str = Field(min_length=1)
@@ -125,7 +128,7 @@ class JointSpecMeta(_Strict):
     gravity_torque: GravityTorqueMeta | None = None
 
 
-class MechanismMeta(_Strict):
+class MechanismMeta(Strict):
     """Either a list of joints or an MJCF file beside ``meta.yaml`` and what is unknown of it."""
 
     joints: Annotated[list[JointSpecMeta], Field(min_length=1)] | None = None
@@ -143,7 +146,7 @@ class MechanismMeta(_Strict):
         return self
 
 
-class InputMeta(_Strict):
+class InputMeta(Strict):
     """The column that drives a joint: generalised force = scale * column."""
 
     joint: str
@@ -157,7 +160,7 @@ def _listed(value: object) -> object:
     return [value] if isinstance(value, dict) else value
 
 
-class OutputMeta(_Strict):
+class OutputMeta(Strict):
     """A measured column: quantity of a joint = scale * column [rad or m, per second, per second squared]."""
 
     joint: str
@@ -166,7 +169,7 @@ class OutputMeta(_Strict):
     scale: float
 
 
-class JointTrajectoryMeta(_Strict):
+class JointTrajectoryMeta(Strict):
     """One recording of the joints; ``rows`` is the half-open range of data rows used, counted from 0."""
 
     file: str = Field(min_length=1)
@@ -175,14 +178,14 @@ class JointTrajectoryMeta(_Strict):
     replicate_of: Ordinal | None = None
 
 
-class SplitMeta(_Strict):
+class SplitMeta(Strict):
     """Trajectories to learn from and to test on, counted from 1."""
 
     train: list[Ordinal] = Field(min_length=1)
     test: list[Ordinal] = Field(min_length=1)
 
 
-class JointMeta(_Strict):
+class JointMeta(Strict):
     """``joint-gap-case/1``: joints measured directly."""
 
     format: Literal["joint-gap-case/1"]
@@ -201,7 +204,7 @@ class JointMeta(_Strict):
 
 
 class MetaFile:
-    """The text of a ``meta.yaml``, its YAML tree for line numbers and its content.
+    """The text of a ``meta.yaml`` or another YAML file, its YAML tree for line numbers and its content.
 
     Attributes:
         path: The file.
@@ -211,7 +214,7 @@ class MetaFile:
         InputError: The file is missing, unreadable, not YAML, no mapping or has a key twice.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, allowed: str = f"{BRANCH_FORMAT} or {JOINT_FORMAT}") -> None:
         self.path = path
         text = read_text(path)
         try:
@@ -225,7 +228,7 @@ class MetaFile:
             raise InputError(path, "", str(e).splitlines()[0], "valid YAML") from None
         if not isinstance(self.content, dict):
             found = "an empty file" if self.content is None else f"a {type(self.content).__name__}"
-            raise InputError(path, "", found, f"a mapping that starts with format: {BRANCH_FORMAT} or {JOINT_FORMAT}")
+            raise InputError(path, "", found, f"a mapping that starts with format: {allowed}")
 
     def error(self, location: Location, found: str, allowed: str) -> InputError:
         """Return an `InputError` for a key, with its line in the file; entries of lists are counted from 1."""
@@ -270,8 +273,17 @@ def read_meta(path: Path) -> tuple[BranchMeta | JointMeta, MetaFile]:
     if not isinstance(tag, str) or tag not in models:
         found = "no such key" if tag is None else repr(tag)
         raise file.error(["format"], found, f"{BRANCH_FORMAT} or {JOINT_FORMAT}")
+    return validated(file, models[tag]), file
+
+
+def validated(file: MetaFile, model: type[Checked]) -> Checked:
+    """Return a file's content as a model.
+
+    Raises:
+        InputError: A key is missing, unknown, of the wrong type or out of bounds.
+    """
     try:
-        return models[tag].model_validate(file.content), file
+        return model.model_validate(file.content)
     except ValidationError as e:
         raise _explain(file, e.errors(include_url=False)[0]) from None
 

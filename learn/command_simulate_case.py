@@ -28,12 +28,18 @@ def simulate_case(options: Simulate) -> int:
         for line in case.warnings:
             warn(line)
         start_warp()
-        from .replay import case_figure, grasp_displacement, replay  # torch and Warp, after what is quick to refuse
+        from .model_file import check_fits, read_model
+        from .replay import case_figure, replay  # torch and Warp, after what is quick to refuse
 
-        trajectory = replay(options, case)
-        grasp = grasp_displacement(case, trajectory)
+        model = None
+        if options.model is not None:
+            model = read_model(options.model)
+            check_fits(model, case, options.model)
+        trajectory, grasp = replay(options, case, model)
         trajectory.save(folder / "trajectory.npz", grasp_displacement=grasp)
-        case_figure(case, trajectory.time, grasp).savefig(folder / "trajectory.png", dpi=150)
+        case_figure(case, trajectory.time, grasp, "" if model is None else model.name).savefig(
+            folder / "trajectory.png", dpi=150
+        )
     return report(options, trajectory)
 
 

@@ -8,6 +8,7 @@ through one zero-phase low-pass filter first: a Butterworth filter of second ord
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -16,11 +17,14 @@ import warp as wp
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt, sosfreqz
 
+from ..kernels.effects_inverse import effect_efforts_kernel
 from ..kernels.inverse import inverse_kernels
 from ..sim.arrays import LaneArray
+from ..sim.effects import terms_of
 from ..sim.errors import InputError
 from ..sim.tree import Array
 from .case import BranchCase, JointCase, JointTrajectory
+from .effect_rollout import EffectArrays
 from .noise import NoiseEstimate, estimate_noise
 from .plant_branch import BranchPlant
 from .rollout import Recording, Rollout, recordings
@@ -68,8 +72,9 @@ def _recording(case: JointCase, trajectory: JointTrajectory, sources: list[list[
     motion = np.concatenate([_motion(case, trajectory, columns) for columns in sources], axis=1)
     effort = low_pass(_at_samples(case, trajectory.effort), case.dt, case.filter_hz)
     return Recording(
-        trajectory.t[inner], motion[inner], effort[inner], np.zeros((0, 2)), np.zeros(count - 2 * period, dtype=bool)
-    )
+        trajectory.t[inner], motion[inner], effort[inner], np.zeros((0, 2)), np.zeros(count - 2 * period, dtype=bool),
+        None, trajectory.t_start,
+    )  # fmt: skip
 
 
 def noise_of(case: BranchCase | JointCase) -> NoiseEstimate:
@@ -159,7 +164,7 @@ class EquationError(Rollout):
         for j, r in enumerate(self.recordings):
             motion[j, : len(r.t) * len(place)] = r.input.reshape(-1, 3)
         watched = [place[item.joint] for item in case.inputs]
-        trajectory = np.repeat(np.arange(count), self._blocks)
+        trajectory = np.repeat(np.arange(count), self.blocks)
         integers: list[Any] = [
             wp.array(v, dtype=int, device=dev) for v in (list(place.values()), watched, trajectory, self._samples)
         ]
@@ -169,4 +174,26 @@ class EquationError(Rollout):
         before = [m.kernel, sim.state.kernel, sim.load.kernel, self._acceleration.kernel, *integers]
         before.append(wp.array(motion, dtype=wp.vec3d, device=dev))
         kernel = inverse_kernels(m.width, m.precision).replay
-        self._replay = sim._launcher.prepare(kernel, before, [self._effort.kernel, self._output.kernel])
+        replay = sim._launcher.prepare(kernel, before, [self._effort.kernel, self._output.kernel])
+        self._replay = replay if not self.plant.acting.names else self._with_effects(replay, integers, before[-1])
+
+    def _with_effects(self, replay: Callable[[], None], integers: list[Any], motion: wp.array) -> Callable[[], None]:
+        """Return a replay that takes off what the laws at joints give; refuse effects of any other kind."""
+        m, acting = self.model, self.plant.acting
+        for name, law in acting.laws.items():
+            if law.kind != "joint":
+                allowed = "effects at joints, such as dry_friction: the measured efforts are what is predicted"
+                raise InputError(self.case.folder / "meta.yaml", "effects", f"{name} in a torque fit", allowed)
+        self.effects = EffectArrays(self)
+        starts = [r.t_start + float(r.t[0]) for r in self.recordings]
+        begins: wp.array = wp.array(starts, dtype=wp.float64, device=self.device)
+        spacing = float(self.recordings[0].t[1] - self.recordings[0].t[0])
+        kernel = effect_efforts_kernel(m.width, m.precision, terms_of(acting.names, acting.form))
+        before = [m.kernel, self.effects.kernel, *integers, begins, motion]
+        laws = self.simulator._launcher.prepare(kernel, before, [spacing, self._output.kernel])
+
+        def both() -> None:
+            replay()
+            laws()
+
+        return both

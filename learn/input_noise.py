@@ -87,7 +87,7 @@ def input_colour(
 
 
 def _moments(length: int) -> Array:
-    """Samples at which pulses are tried, the first among them: its pulse only falls, all others rise and fall."""
+    """Return the samples that are pulsed, the first among them: its pulse only falls, all others rise and fall."""
     return np.unique(np.concatenate([[0], np.linspace(1, length - 2, PULSES).astype(int)]))
 
 

@@ -67,11 +67,11 @@ class Mixture:
         count = len(self.mean)
         error = _spread(y - self.mean, self.deviation).mean(0)
         own = _spread(torch.zeros_like(self.mean), math.sqrt(2.0) * self.deviation).mean(0)
-        shifts = np.unique(np.linspace(1, count - 1, min(SHIFTS, count - 1)).round().astype(int)) if count > 1 else []
+        shifts = np.unique(np.linspace(1, count - 1, min(SHIFTS, count - 1)).round().astype(int)).tolist()
         others = torch.zeros_like(error)
         for k in shifts:
-            apart = torch.hypot(self.deviation, self.deviation.roll(int(k), 0))
-            others += _spread(self.mean - self.mean.roll(int(k), 0), apart).mean(0) / len(shifts)
+            apart = torch.hypot(self.deviation, self.deviation.roll(k, 0))
+            others += _spread(self.mean - self.mean.roll(k, 0), apart).mean(0) / len(shifts)
         return error - 0.5 * (own + (count - 1) * others) / count
 
 

@@ -8,6 +8,7 @@ import torch
 from ..sim.errors import InputError
 from ..sim.model import Model
 from ..sim.tree import Joint, Tree
+from .acting import ActingSet
 from .case import JointCase
 from .case_joints import JointSpec
 from .joint_guess import guess_joint
@@ -113,8 +114,11 @@ class JointPlant:
             damping=np.array([j.damping or 0.0 for j in self.joints]),
         )
 
+    acting = ActingSet((), "joint", [])
+
     def write(self, values: torch.Tensor, model: Model, write: Write) -> None:
         """Write the unknowns [sets, n]."""
+        self.acting.write(values[:, len(self._slots) :], model, write, [j.link for j in self.joints])
         for column, (i, name) in enumerate(self._slots):
             place = int(model.link_place[i])
             v = values[:, column]

@@ -14,6 +14,7 @@ from ..sim.import_mjcf import load_mjcf
 from ..sim.model import Model
 from ..sim.parameters import Links, link_parameters
 from ..sim.tree import Array, Tree
+from .acting import ActingSet
 from .case import JointCase
 from .case_joints import UNKNOWN, JointAxis
 from .plant import Parameter, Write
@@ -139,8 +140,11 @@ class MechanismPlant:
             return max(float(np.abs(t.effort[:, column]).max()) for t in self._case.trajectories)
         return float(np.linalg.norm(self.gravity)) * float(np.sqrt(self._carried[joint.name] * self.tree.mass.sum()))
 
+    acting = ActingSet((), "joint", [])
+
     def write(self, values: torch.Tensor, model: Model, write: Write) -> None:
         """Write the unknowns [sets, n]."""
+        self.acting.write(values[:, len(self._slots) :], model, write, [j.link for j in self.joints])
         by_joint: dict[str, Values] = {}
         for column, (part, joint) in enumerate(self._slots):
             by_joint.setdefault(joint.name, {})[part] = values[:, column]

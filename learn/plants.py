@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..sim.errors import InputError
+from .acting import ActingSet, joint_settings
 from .case import BranchCase, JointCase
 from .plant import bounded
 from .plant_branch import BranchPlant, Unknowns
@@ -25,5 +26,9 @@ def plant_of(
     if (own.joints, own.infer, own.shared) != (Unknowns.joints, Unknowns.infer, Unknowns.shared):
         found = "--joints, --infer or --shared with a case of joints"
         raise InputError(case.folder / "meta.yaml", "format", found, "null or mechanism.unknown in meta.yaml")
-    plant.parameters = bounded(plant.parameters, own.box)
+    carried = [float(plant.tree.inertia[j.link].trace() / 3 if j.type == "revolute" else plant.tree.mass[j.link])
+               for j in plant.joints]  # fmt: skip
+    settings = joint_settings(case, carried) if own.effects else []
+    plant.acting = ActingSet(own.effects, "joint", settings, case.name)
+    plant.parameters = bounded([*plant.parameters, *plant.acting.parameters], own.box)
     return plant

@@ -12,17 +12,22 @@ from matplotlib.figure import Figure
 from ..sim.command_simulate import Simulate, check_memory, make_simulator, steps_of
 from ..sim.errors import InputError
 from ..sim.figures import COLORS, STYLE
+from ..sim.model import Model
 from ..sim.rotation import quat_rotate
 from ..sim.simulator import Simulator
 from ..sim.trajectory import Trajectory, record
 from ..sim.tree import Array
 from .case import BranchCase
-from .plant_branch import BranchPlant
-from .rollout import Recording, recordings
+from .model_file import BranchModel
+from .plant_branch import BranchPlant, Unknowns
+from .rollout import Recording, Rollout, recordings
 
 
-def replay(options: Simulate, case: BranchCase) -> Trajectory:
-    """Simulate one world a recording from rest, with the springs that `BranchPlant` takes for typical.
+def replay(options: Simulate, case: BranchCase, model: BranchModel | None = None) -> tuple[Trajectory, Array]:
+    """Simulate one world a recording from rest; return it and the grasp points' displacement [m], shape [T, W, 3].
+
+    Springs are those of ``model``, or those that `BranchPlant` takes for typical. A model with effects is replayed by
+    their kernel in the step of identification, and looked at when the recordings were sampled.
 
     Raises:
         InputError: --seconds is longer than the recordings, or an option does not fit.
@@ -31,11 +36,44 @@ def replay(options: Simulate, case: BranchCase) -> Trajectory:
     seconds = longest if options.seconds is None else options.seconds
     if seconds > longest:
         raise InputError("--seconds", "", f"{seconds:g}", f"at most {longest:g}, the length of the recordings")
+    if model is not None and model.effects:
+        return _with_effects(case, model, seconds)
     plant = BranchPlant(case)
+    tree = plant.tree if model is None else plant.tree.with_(stiffness=model.stiffness, damping=model.damping)
     steps = steps_of(options, seconds)
-    check_memory(options, steps, len(case.trajectories), plant.tree.num_links)
-    simulator = make_simulator(options, plant.tree, plant.gravity, len(case.trajectories))
-    return record(simulator, steps, drive=Push(simulator, case, recordings(case)))
+    check_memory(options, steps, len(case.trajectories), tree.num_links)
+    simulator = make_simulator(options, tree, plant.gravity, len(case.trajectories))
+    trajectory = record(simulator, steps, drive=Push(simulator, case, recordings(case)))
+    return trajectory, grasp_displacement(case, trajectory)
+
+
+def _with_effects(case: BranchCase, model: BranchModel, seconds: float) -> tuple[Trajectory, Array]:
+    rollout = Rollout(case, recordings(case), 1, unknowns=Unknowns(effects=model.effects), track=True)
+    values = torch.tensor(np.concatenate([model.stiffness, model.damping])[None])
+    count = round(seconds / case.dt) + 1
+    grasp = rollout(values)[0, :, :count, :3].double().cpu().numpy().swapaxes(0, 1)
+    poses = rollout.coordinates()[0, :, :count]
+    worlds = Model([rollout.plant.tree] * len(case.trajectories), gravity=rollout.plant.gravity, width=1,
+                   device=rollout.device)  # fmt: skip
+    seen = Simulator(worlds, dt=case.dt)
+    frames = []
+    for k in range(count):
+        seen.state.coordinate.torch[:, 0] = poses[:, k]
+        frames.append([part.cpu().numpy().copy() for part in seen.observe()])
+    pos, quat = (np.stack(part) for part in zip(*frames, strict=True))
+    first = rollout.plant.first if isinstance(rollout.plant, BranchPlant) else 0
+    time: Array = case.dt * np.arange(count, dtype=np.float64)
+    trajectory = Trajectory(time, list(case.segment_name), pos[:, :, first:], quat[:, :, first:],
+                            _lost(rollout, len(case.trajectories)))  # fmt: skip
+    return trajectory, grasp
+
+
+def _lost(rollout: Rollout, worlds: int) -> Array:
+    """Return when each recording's world was frozen [s], NaN where it was not, shape [W]."""
+    out = np.full(worlds, np.nan)
+    for world, _, tick in rollout.simulator.state.faults():
+        out[min(world // rollout.model.width, worlds - 1)] = tick * rollout.simulator.dt / rollout.substeps
+    return out
 
 
 @dataclass
@@ -79,13 +117,14 @@ def grasp_displacement(case: BranchCase, trajectory: Trajectory) -> Array:
     return np.asarray(moved - moved[:1], dtype=np.float64)
 
 
-def case_figure(case: BranchCase, time: Array, grasp: Array) -> Figure:
+def case_figure(case: BranchCase, time: Array, grasp: Array, named: str = "") -> Figure:
     """Draw the measured (dots) and the simulated (lines) displacement of the grasp point, a panel a recording.
 
     Args:
         case: The case, W recordings.
         time: Times of the simulation [s], shape [T].
         grasp: Simulated displacement [m], shape [T, W, 3].
+        named: Name of the model; empty for nominal springs.
     """
     with matplotlib.rc_context(STYLE):
         columns = min(4, len(case.trajectories))
@@ -101,7 +140,10 @@ def case_figure(case: BranchCase, time: Array, grasp: Array) -> Figure:
             ax.set_visible(False)
         figure.supxlabel("time [s]")
         figure.supylabel("displacement of the grasp point [cm]")
-        figure.suptitle("measured (dots) and simulated with nominal springs (lines); bough identify learns the springs")
+        figure.suptitle(
+            "measured (dots) and simulated (lines)"
+            + (f" by the model {named}" if named else " with nominal springs; bough identify learns the springs")
+        )
         handles, names = axes[0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside right upper")
     return figure

@@ -18,7 +18,9 @@ from ..sim.host import simd_width
 from ..sim.model import Model
 from ..sim.simulator import Simulator
 from ..sim.tree import Array
+from .acting import FIELD
 from .case import BranchCase, JointCase
+from .effect_rollout import EffectArrays, prepare
 from .plant_branch import BranchPlant, Unknowns
 from .plants import plant_of
 
@@ -34,6 +36,7 @@ class Recording:
         start: Coordinate and rate of the joints at the first sample, shape [J, 2]; empty where it starts at rest.
         contact: Whether the gripper may hold the branch, so that the force is a measurement, shape [T].
         grasp: Link that is held and the grasp point in its body frame [m]; None where joints are driven.
+        t_start: When it starts on the case's absolute clock [s].
     """
 
     t: Array
@@ -42,6 +45,7 @@ class Recording:
     start: Array
     contact: NDArray[np.bool_]
     grasp: tuple[int, Array] | None = None
+    t_start: float = 0.0
 
 
 def recordings(case: BranchCase | JointCase) -> list[Recording]:
@@ -49,12 +53,12 @@ def recordings(case: BranchCase | JointCase) -> list[Recording]:
     if isinstance(case, BranchCase):
         return [
             Recording(t.t, np.where(t.no_contact[:, None], 0.0, t.force), np.hstack([t.displacement, t.velocity]),
-                      np.zeros((0, 2)), ~t.no_contact, t.grasp)
+                      np.zeros((0, 2)), ~t.no_contact, t.grasp, t.t_start)
             for t in case.trajectories
         ]  # fmt: skip
     return [
         Recording(t.t, t.effort, t.output,
-                  _first_state(case, t.output, t.t), np.zeros(len(t.t), dtype=bool))
+                  _first_state(case, t.output, t.t), np.zeros(len(t.t), dtype=bool), None, t.t_start)
         for t in case.trajectories
     ]  # fmt: skip
 
@@ -81,6 +85,7 @@ class Rollout:
 
     Attributes:
         num_sets: Sets S that a call takes.
+        blocks: Groups of worlds that the sets of a recording take.
         num_locals: Numbers of a start state per recording (two a joint; none for a branch at rest).
         torch_device: Where parameters are taken and channels returned.
         world_steps: World-steps taken so far.
@@ -89,30 +94,37 @@ class Rollout:
 
     def __init__(
         self, case: BranchCase | JointCase, chosen: Sequence[Recording], num_sets: int, *,
-        unknowns: Unknowns | None = None, device: Any = None,
+        unknowns: Unknowns | None = None, device: Any = None, track: bool = False,
     ) -> None:  # fmt: skip
+        """Build the worlds; with ``track`` those of a branch with effects note their joints' coordinates too."""
+        self.track = track
         self.case, self.plant = case, plant_of(case, unknowns)
         self.recordings = list(chosen)
         self.num_sets, self.num_locals = num_sets, chosen[0].start.size
         self.device = wp.get_device(device)
         width = 1 if self.device.is_cuda else simd_width()
-        self._blocks = -(-num_sets // width)
-        worlds = [self.plant.tree] * (len(chosen) * self._blocks * width)
+        self.blocks = -(-num_sets // width)
+        self._chains = 1 if self.plant.acting.persists else len(chosen)  # damage: one world replays all recordings
+        worlds = [self.plant.tree] * (self._chains * self.blocks * width)
         self.model = Model(worlds, gravity=self.plant.gravity, device=self.device, width=width)
         self.substeps = max(1, int(np.ceil(case.dt / self.plant.substep - 1e-9)))
         self.simulator = Simulator(self.model, dt=case.dt, substeps=self.substeps)
         self._samples = np.array([len(r.t) for r in chosen])
         self.torch_device = self.simulator.position.device
         self.world_steps, self.seconds = 0, 0.0
+        self.effects: EffectArrays | None = None
         self._prepare()
 
     def _prepare(self) -> None:
+        if self.plant.acting.names:
+            self.effects, self._replay = prepare(self)
+            return
         m, sim, dev = self.model, self.simulator, self.device
         longest, count = int(self._samples.max()), len(self.recordings)
         inputs = np.zeros((count, longest, max(1, self.recordings[0].input.shape[1])))
         for j, r in enumerate(self.recordings):
             inputs[j, : len(r.t), : r.input.shape[1]] = r.input
-        trajectory: wp.array = wp.array(np.repeat(np.arange(count), self._blocks), dtype=int, device=dev)
+        trajectory: wp.array = wp.array(np.repeat(np.arange(count), self.blocks), dtype=int, device=dev)
         length: wp.array = wp.array(self._samples, dtype=int, device=dev)
         drive: wp.array = wp.array(inputs, dtype=wp.float64, device=dev)
         kernels = rollout_kernels(m.width, m.precision)
@@ -120,15 +132,32 @@ class Rollout:
         if isinstance(self.plant, BranchPlant):
             kernel, before = kernels.point, [*before, self._grasped(), trajectory, length, drive]
         else:
-            kernel, before = kernels.joint, [*before, *self._joints(), trajectory, length, drive]
-        self._output: LaneArray = m.field("Real", places=longest * self.channels)
-        after = [self.substeps, sim.dt / self.substeps, sim.max_speed, self._output.kernel]
+            kernel, before = kernels.joint, [*before, *self.joint_arguments(), trajectory, length, drive]
+        after = [self.substeps, sim.dt / self.substeps, sim.max_speed, self.allocate_output().kernel]
         self._replay = sim._launcher.prepare(kernel, before, after)
+
+    def allocate_output(self) -> LaneArray:
+        """Return fresh memory for the channels of every recording that a world replays."""
+        places = len(self.recordings) // self._chains * int(self._samples.max()) * self.channels
+        self._output = self.model.field("Real", places=places)
+        return self._output
+
+    def coordinates(self) -> torch.Tensor:
+        """Return the tracked coordinates of the last call, kernel quaternions [S, R, T, places + 1, 4]."""
+        assert self.effects is not None and self.track
+        out = self.effects.arrays["track"].torch.unflatten(0, (self._chains, self.blocks))
+        out = out.flatten(1, 2)[:, : self.num_sets].transpose(0, 1)
+        return out.reshape(self.num_sets, len(self.recordings), -1, self.model.places + 1, 4)
+
+    def place_marks(self, array: LaneArray, marks: torch.Tensor) -> None:
+        """Write one number a padded set [sets] into the worlds of all recordings."""
+        target = array.torch.unflatten(0, (self._chains, self.blocks))
+        target[:, :, :, 0, 0] = marks.view(self.blocks, self.model.width)
 
     def _grasped(self) -> wp.array:
         """Write every recording's grasp point; return the places of the links that are held."""
         self.channels, places = 6, []
-        points = self.simulator.load.point.torch.unflatten(0, (len(self.recordings), self._blocks))
+        points = self.simulator.load.point.torch.unflatten(0, (len(self.recordings), self.blocks))
         for j, r in enumerate(self.recordings):
             assert r.grasp is not None
             link, point = r.grasp
@@ -137,7 +166,8 @@ class Rollout:
             points[j, :, :, places[-1]] = local.to(points.dtype)
         return wp.array(places, dtype=int, device=self.device)
 
-    def _joints(self) -> list[object]:
+    def joint_arguments(self) -> list[object]:
+        """Return driven joints, whether inputs are linear between samples, and watched joints, as kernels take them."""
         plant, case = self.plant, self.case
         assert not isinstance(plant, BranchPlant) and isinstance(case, JointCase)
         place = {j.name: int(self.model.link_place[j.link]) for j in plant.joints}
@@ -151,7 +181,8 @@ class Rollout:
         return [wp.array(driven, dtype=int, device=self.device), linear, watched]
 
     def _write(self, field: str, place: int, component: int, values: torch.Tensor) -> None:
-        target = self.model.arrays[field].torch.unflatten(0, (len(self.recordings), self._blocks))
+        array = self.effects.arrays[FIELD] if self.effects and field == FIELD else self.model.arrays[field]
+        target = array.torch.unflatten(0, (self._chains, self.blocks))
         target[:, :, :, place, component] = values
 
     def __call__(self, values: torch.Tensor, start: torch.Tensor | None = None) -> torch.Tensor:
@@ -166,22 +197,25 @@ class Rollout:
             that the next call overwrites.
         """
         sim, width = self.simulator, self.model.width
-        self.plant.write(self._padded(values).view(self._blocks, width, -1).flatten(0, 1), self.model, self._blocked)
+        self.plant.write(self._padded(values).view(self.blocks, width, -1).flatten(0, 1), self.model, self._blocked)
         self._reset(start)
         sim.refresh()
+        if self.effects is not None:
+            self.effects.refresh(self, self._padded(values))
         clock = time.perf_counter()
         self._replay()
         self.seconds += time.perf_counter() - clock
-        self.world_steps += int(self._samples.sum()) * self.substeps * self._blocks * width
-        out = self._output.torch[..., 0].unflatten(0, (len(self.recordings), self._blocks))
+        self.world_steps += int(self._samples.sum()) * self.substeps * self.blocks * width
+        out = self._output.torch[..., 0].unflatten(0, (self._chains, self.blocks))
         out = out.unflatten(-1, (-1, self.channels)).flatten(1, 2)[:, : self.num_sets].transpose(0, 1)
+        out = out.reshape(self.num_sets, len(self.recordings), -1, self.channels)
         return out if isinstance(self.plant, BranchPlant) else out[..., self._select]
 
     def _blocked(self, field: str, place: int, component: int, values: torch.Tensor) -> None:
-        self._write(field, place, component, values.view(self._blocks, self.model.width))
+        self._write(field, place, component, values.view(self.blocks, self.model.width))
 
     def _padded(self, values: torch.Tensor) -> torch.Tensor:
-        extra = self._blocks * self.model.width - self.num_sets
+        extra = self.blocks * self.model.width - self.num_sets
         if values.shape[0] != self.num_sets:
             raise ValueError(f"{values.shape[0]} sets of parameters; this rollout takes {self.num_sets}")
         return torch.cat([values, values[-1:].expand(extra, *values.shape[1:])]).to(self._output.torch.dtype)
@@ -197,9 +231,9 @@ class Rollout:
         if start is None:
             guess = torch.as_tensor(np.stack([r.start for r in self.recordings]), device=state.velocity.torch.device)
             start = guess.expand(self.num_sets, *guess.shape)
-        rows = self._padded(start).view(self._blocks, self.model.width, *start.shape[1:])
+        rows = self._padded(start).view(self.blocks, self.model.width, *start.shape[1:])
         for field, entry, c in ((state.coordinate, 1, 0), (state.velocity, 0, 1)):
-            target = field.torch.unflatten(0, (len(self.recordings), self._blocks))
+            target = field.torch.unflatten(0, (self._chains, self.blocks))
             for i in range(start.shape[2]):
                 place = self._places[i]
                 target[:, :, :, place, entry] = rows[:, :, :, i, c].permute(2, 0, 1)

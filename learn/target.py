@@ -26,7 +26,7 @@ Loss = Literal["gaussian", "published"]
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The target at P vectors: log posterior [P], gradient [P, D], predictions [P, R, T, C], derivatives [P, m, R, T, C]."""
+    """The target at P vectors: log posterior [P], gradient [P, D], predictions and derivatives as `linearise` has them."""
 
     log_posterior: torch.Tensor
     gradient: torch.Tensor

@@ -38,6 +38,7 @@ class Simulate:
         source: MJCF file (.xml), URDF file (.urdf) or case folder. A case's branch has nominal springs, those of beams
             of green wood, and one world for each recording.
         out: Folder to write to.
+        model: model.yaml with the springs, dampers and effects of a case's branch, instead of nominal springs.
         seconds: How long; 2 s for a file, as long as the recordings for a case.
         dt: Step [s]; there are round(seconds / dt) of them.
         substeps: Equal parts that every step is taken in.
@@ -51,6 +52,7 @@ class Simulate:
 
     source: tyro.conf.Positional[Path]
     out: Path
+    model: Path | None = None
     seconds: float | None = None
     dt: float = 1.0 / 240.0
     substeps: int = 1
@@ -91,6 +93,8 @@ def simulate_file(options: Simulate) -> Trajectory:
         InputError: An option out of range, a file that cannot be read or simulated, a folder that cannot be written.
     """
     check(options)
+    if options.model is not None:
+        raise InputError("--model", "", str(options.model), "only with a case folder")
     with output_folder(options.out) as folder:
         start_warp()
         mechanism = load_mechanism(options.source)

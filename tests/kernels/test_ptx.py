@@ -4,12 +4,21 @@ import re
 
 import pytest
 import warp as wp
+from bough.kernels.effects_inverse import effect_efforts_kernel
+from bough.kernels.effects_rollout import effect_rollout_kernels
 from bough.kernels.inverse import inverse_kernels
 from bough.kernels.observe import energy_kernel, pose_kernel, probe_kernel
 from bough.kernels.reset import reset_kernels
 from bough.kernels.rollout import rollout_kernels
 from bough.kernels.stability import damping_kernel
 from bough.kernels.step import step_kernels
+from bough.sim.effects import terms_of
+
+
+def some(form):
+    """Return terms of a law with a memory, one with a damper and one of the sensor."""
+    return terms_of(("dry_friction", "hysteresis_boucwen", "force_bias"), form)
+
 
 KERNELS = {
     "step": lambda precision: step_kernels(1, precision).step,
@@ -23,6 +32,8 @@ KERNELS = {
     "inverse": lambda precision: inverse_kernels(1, precision).inverse,
     "replay_point": lambda precision: rollout_kernels(1, precision).point,
     "replay_joint": lambda precision: rollout_kernels(1, precision).joint,
+    "effects_joint": lambda precision: effect_rollout_kernels(1, precision, some("joint")).joint,
+    "effects_effort": lambda precision: effect_efforts_kernel(1, precision, some("joint")),
 }
 ARITHMETIC = {32: r"(?:add|mul|fma|div|sqrt)\S*\.f32", 64: r"(?:add|mul|fma|div|sqrt)\S*\.f64"}
 

@@ -1,0 +1,365 @@
+"""What a plain spring and damper lack, as terms of the step: how laws plug in, and the step that calls them.
+
+A law is a device function of one of three kinds. Laws are chained when a kernel is built, so a kernel holds exactly the
+ones it is built with; the plain step (`articulated`) knows nothing of them.
+
+``joint``  ``law(j, p, r)`` takes a `JointState`, the parameters and an empty `Response` that holds the joint's memory
+           (zero at the start); it returns one of the type of r: torque added to the joint's effort [N m or N], new
+           memory, stiffness beyond the joint's spring [N m/rad], damping [N m s/rad]; torque is without the damper's
+``link``   ``law(b, p)`` takes a `LinkState` and returns the force on the link's centre of area, world axes [N]
+``force``  ``law(g, p)`` takes a `ForceState` and returns the force that truly acts, from what the sensor recorded [N]
+
+``p`` holds up to six parameters, ``p.a`` to ``p.f``, in the order in which the effect lists them. A ball joint's angle
+is its rotation vector from rest and its rate the angular velocity, both in the link's frame; other joints use x alone.
+
+Damping that a law reports is implicit in the step, so that a law as steep as dry friction at rest stays stable. A ball
+joint's stiffness beyond its own spring brings the least damper that an explicit spring needs there (half a step times
+the stiffness, since a segment has hardly any inertia about its own axis).
+"""
+
+from functools import cache
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from .algebra import add, add_cross, div, half_angle_log, mul, rotate, sub
+from .articulated import (
+    PRISMATIC,
+    SPHERICAL,
+    advance_links,
+    fold_link,
+    own_force,
+    own_inertia,
+    own_moment,
+    place_links,
+    place_root,
+    skew,
+)
+from .layout import layout_of
+from .real import fma, real, where_neg
+
+__all__ = ["PARAMETERS", "Term", "effect_types", "step_of"]
+
+#: Parameters that a term may have.
+PARAMETERS = 6
+
+#: Least damper of a ball joint over its stiffness, in steps.
+LEAST_DAMPER = wp.constant(wp.float64(0.6))
+
+
+#: What a step is for: to move; to find rest under all that acts; or to find rest in a calm, without link forces.
+MOVING = wp.constant(0)
+STILL = wp.constant(1)
+CALM = wp.constant(2)
+
+
+class Term(NamedTuple):
+    """A law as a kernel is built with it; its parameters start at entry ``slot`` of the parameter array.
+
+    Attributes:
+        name: Of the effect.
+        kind: ``joint``, ``link``, ``force``, or the name of a term that the replay itself carries out.
+        law: Device function; None for the latter.
+        slot: Which of the terms it is.
+        per_joint: Whether every joint has parameters of its own; else they stand at place 0.
+        memory: Whether it has a memory, one vector a joint.
+        persistent: Whether that memory outlasts a recording (damage), or is zero at the start of each.
+    """
+
+    name: str
+    kind: str
+    law: Any
+    slot: int
+    per_joint: bool
+    memory: bool = False
+    persistent: bool = False
+
+
+@cache
+def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
+    """Return the structs of `kernels.layout` and those that laws take, over the reals of one width and precision."""
+    t = layout_of(width, precision)
+    Real, Vec, Quat = t.Real, t.Vec, t.Quat
+
+    @wp.struct
+    class Parameters:
+        a: Real
+        b: Real
+        c: Real
+        d: Real
+        e: Real
+        f: Real
+
+    @wp.struct
+    class JointState:
+        angle: Vec
+        rate: Vec
+        stiffness: Real
+        time: Real
+        step: Real
+
+    @wp.struct
+    class Response:
+        torque: Vec
+        memory: Vec
+        stiffness: Real
+        damping: Real
+
+    @wp.struct
+    class LinkState:
+        velocity: Vec
+        area: Real
+        time: Real
+
+    @wp.struct
+    class ForceState:
+        force: Vec
+        contact: Real
+        turn: Quat
+        first: Quat
+        gravity: Vec
+
+    @wp.struct
+    class Effects:
+        parameter: wp.array2d(dtype=Real)
+        memory: wp.array2d(dtype=Vec)
+        damping: wp.array2d(dtype=Real)
+        effort: wp.array2d(dtype=Vec)
+        hold: wp.array2d(dtype=Vec)
+        wind: wp.array2d(dtype=Vec)
+        area: wp.array2d(dtype=Real)
+        centre: wp.array2d(dtype=Vec)
+        settle: wp.array(dtype=Real)
+        tip: int
+        tip_point: wp.array(dtype=wp.float64)
+        stride: int
+
+    return SimpleNamespace(**vars(t), Parameters=Parameters, JointState=JointState, Response=Response,
+                           LinkState=LinkState, ForceState=ForceState, Effects=Effects)  # fmt: skip
+
+
+# ---- chains: each function calls the one before it and adds a law ----------------------------------------------------
+
+
+@wp.func
+def no_joint(e: int, i: int, fx: Any, j: Any, r: Any):
+    return r
+
+
+@wp.func
+def no_link(e: int, i: int, fx: Any, b: Any):
+    return b.velocity - b.velocity
+
+
+@wp.func
+def no_force(e: int, i: int, fx: Any, g: Any):
+    return g.force
+
+
+def _named(function: Any, term: Term, key: str) -> Any:
+    """Make a device function of its own: Warp tells functions of one module apart by their names."""
+    return wp.func(function, name=f"{key}_{term.kind}_{term.name}_{term.slot}_{term.per_joint}")
+
+
+def _reader(term: Term, types: SimpleNamespace, key: str) -> Any:
+    """Device function that reads a term's parameters for joint or link i."""
+    first, own, Parameters = term.slot * PARAMETERS, int(term.per_joint), types.Parameters
+
+    def read(e: int, i: int, fx: Any):
+        k = first * fx.stride + i * own
+        n = fx.stride
+        return Parameters(
+            fx.parameter[e, k], fx.parameter[e, k + n], fx.parameter[e, k + 2 * n], fx.parameter[e, k + 3 * n],
+            fx.parameter[e, k + 4 * n], fx.parameter[e, k + 5 * n],
+        )  # fmt: skip
+
+    return _named(read, term, f"read{key}")
+
+
+def _with_joint(before: Any, term: Term, types: SimpleNamespace, key: str) -> Any:
+    read, law, slot, remembers = _reader(term, types, key), term.law, term.slot, int(term.memory)
+
+    def joint(e: int, i: int, fx: Any, j: Any, r: Any):
+        sofar = before(e, i, fx, j, r)
+        k = slot * fx.stride + i
+        mine = r
+        if wp.static(remembers):
+            mine = type(r)(r.torque, fx.memory[e, k], r.stiffness, r.damping)
+        own = law(j, read(e, i, fx), mine)
+        if wp.static(remembers):
+            fx.memory[e, k] = own.memory
+        return type(r)(
+            sofar.torque + own.torque, sofar.memory, sofar.stiffness + own.stiffness, sofar.damping + own.damping
+        )
+
+    return _named(joint, term, f"joint{key}")
+
+
+def _with_link(before: Any, term: Term, types: SimpleNamespace, key: str) -> Any:
+    read, law = _reader(term, types, key), term.law
+
+    def link(e: int, i: int, fx: Any, b: Any):
+        return before(e, i, fx, b) + law(b, read(e, i, fx))
+
+    return _named(link, term, f"link{key}")
+
+
+def _with_force(before: Any, term: Term, types: SimpleNamespace, key: str) -> Any:
+    read, law = _reader(term, types, key), term.law
+
+    def force(e: int, i: int, fx: Any, g: Any):
+        sofar = type(g)(before(e, i, fx, g), g.contact, g.turn, g.first, g.gravity)
+        return law(sofar, read(e, i, fx))
+
+    return _named(force, term, f"force{key}")
+
+
+def chain_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
+    """Return the device function that applies all terms of a kind, in their order."""
+    chain = {"joint": no_joint, "link": no_link, "force": no_force}[kind]
+    extend = {"joint": _with_joint, "link": _with_link, "force": _with_force}[kind]
+    for n, term in enumerate(t for t in terms if t.kind == kind):
+        chain = extend(chain, term, types, f"{key}_{n}")
+    return chain
+
+
+# ---- the step ----------------------------------------------------------------------------------------------------
+
+
+@wp.func
+def joint_state(e: int, i: int, kind: int, m: Any, x: Any, like: Any, time: wp.float64, h: wp.float64):
+    """Angle and rate of a joint as laws see them."""
+    q = x.coordinate[e, i]
+    w = x.velocity[e, i]
+    o = real(0.0, q.x)
+    angle = type(w)(q.x, o, o)
+    rate = type(w)(w.x, o, o)
+    if kind == SPHERICAL:
+        angle = type(w)(q.x, q.y, q.z) * half_angle_log(q)
+        rate = w
+    return type(like)(angle, rate, m.stiffness[e, i], real(time, o), real(h, o))
+
+
+@wp.func
+def effective_damping(kind: int, own: Any, stiffness: Any, more: Any, extra: Any, h: wp.float64):
+    """Damper of a joint: its own, what laws add, and the least one of a ball joint that laws make stiffer."""
+    d = own + extra
+    o = real(0.0, d)
+    if kind == SPHERICAL:
+        need = (stiffness + more) * real(LEAST_DAMPER * h, d) - d
+        need = where_neg(need, o, need)
+        d = d + where_neg(o - more, need, o)
+    return d
+
+
+@wp.func
+def skew_square(d: Any, like: Any):
+    """|d|^2 1 - d d^T, the inertia of a unit mass at d, of the type of ``like``."""
+    o = real(0.0, d.x)
+    return type(like)(
+        fma(d.y, d.y, d.z * d.z), (o - d.x) * d.y, (o - d.x) * d.z,
+        fma(d.x, d.x, d.z * d.z), (o - d.y) * d.z, fma(d.x, d.x, d.y * d.y),
+    )  # fmt: skip
+
+
+@wp.func
+def centre_velocity(e: int, row: int, i: int, m: Any, s: Any, arm: Any):
+    """Velocity of a point ``arm`` from a joint point, world axes; joint points' velocities are left in ``s.alpha``."""
+    p = m.parent[e, i]
+    v = add_cross(s.alpha[row, p], s.spin[row, p], s.r[row, i])
+    if m.kind[e, i] == PRISMATIC:
+        v = v + s.relative[row, i]
+    s.alpha[row, i] = v
+    return add_cross(v, s.spin[row, i], arm)
+
+
+@cache
+def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamespace:
+    """Return the device functions ``advance`` (one step with all terms), ``joint`` and ``force`` (the chains)."""
+    t = effect_types(width, precision)
+    key = f"{width}_{precision}_" + "_".join(term.name for term in terms)
+    joint = chain_of("joint", terms, t, key)
+    link = chain_of("link", terms, t, key)
+    force = chain_of("force", terms, t, key)
+    has_joint, has_link = (int(any(x.kind == k for x in terms)) for k in ("joint", "link"))
+    tips = [x.slot for x in terms if x.kind == "tip_mass"]
+    has_tip, tip_slot = len(tips), tips[0] * PARAMETERS if tips else 0
+    JointState, Response, LinkState = t.JointState, t.Response, t.LinkState
+
+    def act(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, still: int):
+        """Evaluate the laws of joints and links at the present state; seek rest unless ``still`` is MOVING."""
+        for i in range(1, m.count[e] + 1):
+            v = x.velocity[e, i]
+            o = real(0.0, v.x)
+            zero = type(v)(o, o, o)
+            total = u.effort[e, i]
+            if wp.static(has_tip):
+                total = total + fx.hold[e, i]
+            kind = m.kind[e, i]
+            stiffness = m.stiffness[e, i]
+            damping = fx.damping[e, i]
+            if wp.static(has_joint):
+                j = joint_state(e, i, kind, m, x, JointState(v, v, o, o, o), time, h)
+                r = joint(e, i, fx, j, Response(zero, zero, o, o))
+                total = total + r.torque
+                damping = effective_damping(kind, damping, stiffness, r.stiffness, r.damping, h)
+            if still != MOVING:
+                damping = stiffness * real(h * wp.float64(1.25), o)
+            m.damping[e, i] = damping
+            fx.effort[e, i] = total
+            if wp.static(has_link):
+                arm = rotate(s.pose[row, i], fx.centre[e, i])
+                b = LinkState(centre_velocity(e, row, i, m, s, arm), fx.area[e, i], real(time, o))
+                fx.wind[e, i] = link(e, i, fx, b)
+                if still == CALM:
+                    fx.wind[e, i] = zero
+
+    act = wp.func(act, name=f"act_{key}")
+
+    def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64):
+        """Fold as `articulated.fold_links_loaded` does, with the laws' efforts, wrenches and mass."""
+        n = m.count[e]
+        for step in range(n):
+            i = n - step
+            A = own_inertia(e, row, i, m, s)
+            mass = m.mass[e, i]
+            pose = s.pose[row, i]
+            mc = rotate(pose, m.com[e, i]) * mass
+            if wp.static(has_tip):
+                if i == fx.tip:
+                    extra = fx.parameter[e, tip_slot * fx.stride]
+                    like = real(0.0, extra)
+                    arm = type(mc)(
+                        real(fx.tip_point[0], like), real(fx.tip_point[1], like), real(fx.tip_point[2], like)
+                    )
+                    arm = rotate(pose, arm)
+                    A = A + skew_square(arm, A) * extra
+                    mass = mass + extra
+                    mc = mc + arm * extra
+            B = skew(mc, s.U[row, i])
+            pushed = u.force[e, i]
+            f = own_force(row, i, s, mass, mc) - pushed
+            n0 = add_cross(own_moment(row, i, s, A, mc), pushed, rotate(pose, u.point[e, i]))
+            if wp.static(has_link):
+                blown = fx.wind[e, i]
+                f = f - blown
+                n0 = add_cross(n0, blown, rotate(pose, fx.centre[e, i]))
+            fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + fx.effort[e, i])
+
+    fold = wp.func(fold, name=f"fold_{key}")
+
+    def advance(
+        e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, bound: wp.float64,
+        still: int,
+    ):  # fmt: skip
+        """Take one semi-implicit step of length h [s] at an absolute time [s], all terms included."""
+        place_root(e, row, m, s)
+        place_links(e, row, m, x, s)
+        act(e, row, m, x, u, fx, s, h, time, still)
+        fold(e, row, m, x, u, fx, s, h)
+        advance_links(e, row, m, x, s, h, bound)
+        x.tick[e] = x.tick[e] + 1
+
+    return SimpleNamespace(types=t, key=key, advance=wp.func(advance, name=f"advance_{key}"), joint=joint, force=force,
+                           has_tip=has_tip, tip_slot=tip_slot)  # fmt: skip

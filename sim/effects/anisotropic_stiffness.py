@@ -1,0 +1,38 @@
+"""A joint that is stiffer in one plane of bending."""
+
+from typing import Any
+
+import warp as wp
+
+from ...kernels.algebra import add, div, dot, mul, sub
+from ...kernels.real import cos_root, real, sin_ratio, where_neg
+from .registry import Effect, EffectParameter, Law, register
+
+
+@wp.func
+def anisotropic_stiffness(j: Any, p: Any, r: Any):
+    """tau = -rel K (phi . n) n with n = (cos psi, sin psi, 0) across the segment."""
+    o = real(0.0, p.a)
+    n = type(r.torque)(cos_root(p.b * p.b), sin_ratio(p.b * p.b) * p.b, o)
+    k = p.a * j.stiffness
+    return type(r)(n * (o - k * dot(j.angle, n)), r.memory, where_neg(k, o, k), o)
+
+
+EFFECT = register(
+    Effect(
+        name="anisotropic_stiffness",
+        summary="stiffness K (1 + rel) for bending about one axis across the segment, K about the others",
+        source="Gere & Timoshenko, Mechanics of Materials (1997), section 6.4 (unsymmetric bending)",
+        signature="pushes across the principal axes come back sideways; two frequencies in two planes",
+        mistaken_for=("bilinear_stiffness", "bending_torsion_coupling"),
+        probe="releases in three directions about the segment",
+        branch=Law(
+            "joint",
+            (
+                EffectParameter("relative", "1", -0.9, 3.0),
+                EffectParameter("axis_rad", "rad", 0.0, 3.141592653589793, 1.5707963267948966),
+            ),
+            anisotropic_stiffness,
+        ),
+    )
+)

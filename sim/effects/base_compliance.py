@@ -1,0 +1,28 @@
+"""A trunk that gives way."""
+
+from .registry import Effect, EffectParameter, Law, register
+
+EFFECT = register(
+    Effect(
+        name="base_compliance",
+        summary="one more ball joint below the base: a spring of 1 / compliance, a damper of relaxation times it",
+        source="James, Haritos & Ades 2006, Am. J. Bot. 93:1522 (the trunk as a spring below the branch)",
+        signature="the grasp point moves as if the base turned: more along the branch than its own joints allow",
+        mistaken_for=("cubic_stiffness", "force_scale"),
+        probe="pushes along the branch, and at two grasp points",
+        branch=Law(
+            "base_compliance",
+            (
+                EffectParameter(
+                    "compliance_radpNm",
+                    "rad/(N m)",
+                    lambda s: 0.003 / s.stiffness,
+                    lambda s: 3.0 / s.stiffness,
+                    scale="log",
+                ),
+                EffectParameter("relaxation_s", "s", 1.5e-3, 1.0, 0.02, "log", 0.02),
+            ),
+            per_joint=False,
+        ),
+    )
+)

@@ -1,0 +1,56 @@
+"""A spring of different stiffness for the two directions."""
+
+from typing import Any
+
+import warp as wp
+
+from ...kernels.algebra import add, div, dot, mul, sub
+from ...kernels.real import cos_root, fma, real, sin_ratio, sqrt_, where_neg
+from .registry import Effect, EffectParameter, Law, register
+
+#: Half-width of the change of slope at zero [rad].
+WIDTH = wp.constant(wp.float64(0.005))
+
+
+@wp.func
+def ramp(x: Any):
+    """(x + sqrt(x^2 + w^2) - w) / 2: 0 for x well below zero, x above, zero at zero."""
+    w = real(WIDTH, x)
+    return (x + sqrt_(fma(x, x, w * w)) - w) * real(0.5, x)
+
+
+@wp.func
+def bilinear_stiffness(j: Any, p: Any, r: Any):
+    """tau = -rel K ramp(phi . n) n with n = (cos psi, sin psi, 0) across the segment."""
+    o = real(0.0, p.a)
+    n = type(r.torque)(cos_root(p.b * p.b), sin_ratio(p.b * p.b) * p.b, o)
+    k = p.a * j.stiffness
+    return type(r)(n * (o - k * ramp(dot(j.angle, n))), r.memory, where_neg(k, o, k), o)
+
+
+@wp.func
+def bilinear_joint(j: Any, p: Any, r: Any):
+    """tau = -rel K ramp(q)."""
+    o = real(0.0, p.a)
+    k = p.a * j.stiffness
+    return type(r)(type(r.torque)(o - k * ramp(j.angle.x), o, o), r.memory, where_neg(k, o, k), o)
+
+
+_REL = EffectParameter("relative", "1", -0.9, 3.0)
+
+EFFECT = register(
+    Effect(
+        name="bilinear_stiffness",
+        summary="stiffness K (1 + rel) where the joint bends one way about an axis across the segment, K the other way",
+        source="Shaw & Holmes 1983, J. Sound Vib. 90:129; corner rounded over 0.005 rad",
+        signature="pushes to the two sides differ in stiffness; releases swing with unequal half periods",
+        mistaken_for=("cubic_stiffness", "anisotropic_stiffness", "backlash"),
+        probe="the same push and release in opposite directions, in two planes",
+        branch=Law(
+            "joint",
+            (_REL, EffectParameter("axis_rad", "rad", 0.0, 3.141592653589793, 1.5707963267948966)),
+            bilinear_stiffness,
+        ),
+        joint=Law("joint", (_REL,), bilinear_joint),
+    )
+)

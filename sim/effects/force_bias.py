@@ -1,0 +1,32 @@
+"""A sensor with an offset."""
+
+from typing import Any
+
+import warp as wp
+
+from ...kernels.algebra import add, div, mul, sub
+from .registry import Effect, EffectParameter, Law, register
+
+
+@wp.func
+def force_bias(g: Any, p: Any):
+    """F = F_s - c b; c is 1 in contact, where the sensor is read."""
+    return g.force - type(g.force)(p.a, p.b, p.c) * g.contact
+
+
+def _bias(name: str, unit: str) -> EffectParameter:
+    return EffectParameter(name, unit, lambda s: -0.3 * s.force, lambda s: 0.3 * s.force)
+
+
+EFFECT = register(
+    Effect(
+        name="force_bias",
+        summary="the sensor reads b more than the force that acts, in world axes; an open gripper's force is known",
+        source="definition; BIPM, International Vocabulary of Metrology (2012), 2.18",
+        signature="a constant force is missing while the gripper holds, and none when it is open",
+        mistaken_for=("steady_wind", "gravity_comp_error"),
+        probe="rows with the gripper open; holds in opposite directions",
+        branch=Law("force", tuple(_bias(f"force_{c}_N", "N") for c in "xyz"), force_bias, per_joint=False),
+        joint=Law("force", (_bias("effort_N", "N m or N"),), force_bias),
+    )
+)

@@ -1,0 +1,43 @@
+"""A joint that breaks in part."""
+
+from typing import Any
+
+import warp as wp
+
+from ...kernels.algebra import add, div, mul, sub
+from ...kernels.real import real, where_neg
+from .registry import Effect, EffectParameter, Law, register
+
+#: Time that the fibres take to part [s].
+BREAKING = wp.constant(wp.float64(0.05))
+
+
+@wp.func
+def partial_rupture(j: Any, p: Any, r: Any):
+    """tau = +s K phi after the moment t0, rising over 0.05 s."""
+    o = real(0.0, p.a)
+    one = real(1.0, o)
+    x = (j.time - p.b) / real(BREAKING, o)
+    x = where_neg(x, o, x)
+    x = where_neg(one - x, one, x)
+    return type(r)(j.angle * (p.a * x * j.stiffness), r.memory, o, o)
+
+
+EFFECT = register(
+    Effect(
+        name="partial_rupture",
+        summary="from a moment on the absolute clock on, the spring has lost a share s of its stiffness for good",
+        source="Kachanov 1958 (damage as a share of the stiffness); Lemaitre, A Course on Damage Mechanics (1996), 1.2",
+        signature="replicates before and after a moment differ; after it everything is softer",
+        mistaken_for=("plastic_set", "tip_mass"),
+        probe="the first push again at the end",
+        branch=Law(
+            "joint",
+            (
+                EffectParameter("share", "1", 0.02, 0.95, scale="log", typical=0.3),
+                EffectParameter("moment_s", "s", lambda s: s.start, lambda s: s.end),
+            ),
+            partial_rupture,
+        ),
+    )
+)

@@ -1,0 +1,193 @@
+"""Effects that have a name: what the model may lack, as terms that the simulator can carry.
+
+A row says what an effect is called, what it does in a branch (``branch``) and at joints measured directly (``joint``),
+where the law is from, what it looks like in data, what it is mistaken for and which probe tells them apart. `register`
+adds one; a file that defines a law and registers it is all that a new effect needs.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from ...kernels.effects import PARAMETERS, Term
+from ..errors import InputError
+
+Kind = Literal["joint", "link", "force", "time_delay", "grasp_slip", "tip_mass", "base_compliance"]
+Form = Literal["branch", "joint"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is known of a joint or a branch before anything is fitted; boxes of priors are multiples of it.
+
+    Attributes:
+        torque: Torque (or force, at a slide) that the input makes at the joint [N m or N].
+        angle: Angle (or way) that the joint turns at most [rad or m].
+        rate: Rate of the joint at most [rad/s or m/s].
+        force: Largest force of the arm [N], or effort at a driven joint.
+        speed: Largest speed of the grasp point [m/s].
+        area: Projected area of the branch, length times diameter [m^2].
+        mass: Mass of the branch [kg].
+        length: Length of the segment that is held [m].
+        gravity: Gravity [m/s^2].
+        dt: Sampling step [s].
+        start, end: First and last moment of the recordings on the absolute clock [s].
+        duration: Length of the longest recording [s].
+    """
+
+    torque: float = 1.0
+    angle: float = 1.0
+    rate: float = 1.0
+    force: float = 1.0
+    speed: float = 1.0
+    area: float = 1.0
+    mass: float = 1.0
+    length: float = 1.0
+    gravity: float = 9.81
+    dt: float = 0.02
+    start: float = 0.0
+    end: float = 1.0
+    duration: float = 1.0
+
+    @property
+    def stiffness(self) -> float:
+        """Spring that the input would turn by the angle seen."""
+        return self.torque / self.angle
+
+
+Bound = float | Callable[[Setting], float]
+
+
+@dataclass(frozen=True)
+class EffectParameter:
+    """One parameter of an effect.
+
+    Attributes:
+        name: With its unit as a suffix, such as ``torque_Nm``.
+        unit: SI unit; ``1`` for a share.
+        low, high: Box of the prior, numbers or functions of the `Setting`.
+        neutral: Value at which the effect, or this part of it, is off.
+        scale: ``log`` (positive) or ``linear``.
+        typical: Where a search may begin; None takes the middle of the box on its scale.
+    """
+
+    name: str
+    unit: str
+    low: Bound
+    high: Bound
+    neutral: float = 0.0
+    scale: Literal["log", "linear"] = "linear"
+    typical: Bound | None = None
+
+
+@dataclass(frozen=True)
+class Law:
+    """How an effect acts in one form of case.
+
+    Attributes:
+        kind: ``joint``, ``link`` or ``force`` for a law (`kernels.effects`), else what the replay carries out itself.
+        parameters: In the order of the law's ``p.a``, ``p.b``, ...
+        law: Device function of the three kinds.
+        per_joint: Whether every joint has its own.
+        memory, persistent: See `kernels.effects.Term`.
+        settles: Whether a branch is at rest elsewhere than in its given pose while the effect acts.
+    """
+
+    kind: Kind
+    parameters: tuple[EffectParameter, ...]
+    law: Any = None
+    per_joint: bool = True
+    memory: bool = False
+    persistent: bool = False
+    settles: bool = False
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A named effect.
+
+    Attributes:
+        name: One word, lower case.
+        summary: Its law in a sentence.
+        source: Where the law is from.
+        signature: What it looks like in measurements.
+        mistaken_for: Names of effects that it is easily taken for.
+        probe: What tells them apart.
+        branch, joint: How it acts in either form of case; None where it does not.
+    """
+
+    name: str
+    summary: str
+    source: str
+    signature: str
+    mistaken_for: tuple[str, ...]
+    probe: str
+    branch: Law | None = None
+    joint: Law | None = None
+
+    def law(self, form: Form) -> Law:
+        """Return how the effect acts in a form of case.
+
+        Raises:
+            InputError: It does not.
+        """
+        found = self.branch if form == "branch" else self.joint
+        if found is None:
+            allowed = ", ".join(e.name for e in effects() if getattr(e, form) is not None)
+            raise InputError("effects", self.name, f"an effect that a {form} case cannot have", allowed)
+        return found
+
+
+_ROWS: dict[str, Effect] = {}
+
+
+def register(effect: Effect) -> Effect:
+    """Add an effect to those that every command knows and return it.
+
+    Raises:
+        InputError: Another effect has its name, the name is not one lower-case word, or it has no law, no parameter,
+            more than six, or two of one name.
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", effect.name):
+        raise InputError("effects", effect.name, "the name", "lower-case letters, digits and _")
+    if effect.name in _ROWS:
+        raise InputError("effects", effect.name, "the name a second time", "each effect once")
+    laws = [law for law in (effect.branch, effect.joint) if law is not None]
+    if not laws:
+        raise InputError("effects", effect.name, "no law", "a law for branches, for joints or for both")
+    for law in laws:
+        names = [p.name for p in law.parameters]
+        if not 1 <= len(set(names)) == len(names) <= PARAMETERS:
+            raise InputError("effects", effect.name, f"parameters {names}", f"1 to {PARAMETERS} of different names")
+        if (law.law is None) == (law.kind in ("joint", "link", "force")):
+            raise InputError("effects", effect.name, f"kind {law.kind} and law {law.law}", "a law with its kind")
+    _ROWS[effect.name] = effect
+    return effect
+
+
+def effects() -> tuple[Effect, ...]:
+    """Return all effects in the order in which they were registered, which is the order in which they act."""
+    return tuple(_ROWS.values())
+
+
+def effect_of(name: str, source: str = "effects") -> Effect:
+    """Return the effect of a name.
+
+    Raises:
+        InputError: There is none; ``source`` says where the name was read.
+    """
+    if name not in _ROWS:
+        raise InputError(source, "effects", f"'{name}'", f"one of {', '.join(_ROWS)}")
+    return _ROWS[name]
+
+
+def terms_of(names: tuple[str, ...], form: Form) -> tuple[Term, ...]:
+    """Return the kernel terms of some effects, in the order of the registry, whatever the order of the names."""
+    chosen = [e for e in effects() if e.name in names]
+    return tuple(
+        Term(e.name, law.kind, law.law, slot, law.per_joint, law.memory, law.persistent)
+        for slot, (e, law) in enumerate((e, e.law(form)) for e in chosen)
+    )

@@ -1,0 +1,19 @@
+"""A mass at the tip that the given masses lack."""
+
+from .registry import Effect, EffectParameter, Law, register
+
+EFFECT = register(
+    Effect(
+        name="tip_mass",
+        summary="a point mass at the upper end of the last segment, held in the rest pose by the pre-loads",
+        source="Featherstone, Rigid Body Dynamics Algorithms (2008), 2.13 (inertia of a point mass)",
+        signature="slower swings with the same stiffness in slow pushes",
+        mistaken_for=("partial_rupture", "force_scale", "time_delay"),
+        probe="free swings after a release beside slow pushes",
+        branch=Law(
+            "tip_mass",
+            (EffectParameter("mass_kg", "kg", lambda s: 0.01 * s.mass, lambda s: 2.0 * s.mass, scale="log"),),
+            per_joint=False,
+        ),
+    )
+)

@@ -1,0 +1,47 @@
+"""Wood that creeps: the standard linear solid."""
+
+from typing import Any
+
+import warp as wp
+
+from ...kernels.algebra import add, div, mul, sub
+from ...kernels.real import real, where_neg
+from .registry import Effect, EffectParameter, Law, register
+
+
+@wp.func
+def viscoelastic_sls(j: Any, p: Any, r: Any):
+    """tau = -a K z,  dz/dt = w - z / T: a spring a K in series with a damper a K T, beside the joint's spring.
+
+    Backward Euler in z; without a relaxation time (T = 0, where the effect is off) z stays zero.
+    """
+    o = real(0.0, p.a)
+    one = real(1.0, o)
+    T = p.b + where_neg(p.b - real(1.0e-9, o), one, o)
+    z = (r.memory + j.rate * j.step) * (one / (one + j.step / T))
+    k = p.a * j.stiffness
+    return type(r)(z * (o - k), z, k, o)
+
+
+_LAW = Law(
+    "joint",
+    (
+        EffectParameter("share", "1", 0.02, 3.0, scale="log", typical=0.3),
+        EffectParameter("relaxation_s", "s", lambda s: 2.0 * s.dt, lambda s: s.duration, scale="log"),
+    ),
+    viscoelastic_sls,
+    memory=True,
+)
+
+EFFECT = register(
+    Effect(
+        name="viscoelastic_sls",
+        summary="a spring a K in series with a damper, beside the joint's spring: the joint creeps under a held force",
+        source="Zener 1948; Findley, Lai & Onaran, Creep and Relaxation (1976), section 5.4",
+        signature="displacement goes on growing in a hold and comes back slowly after the release",
+        mistaken_for=("hysteresis_boucwen", "dry_friction"),
+        probe="a long hold and a long wait after it; the same push fast and slow",
+        branch=_LAW,
+        joint=_LAW,
+    )
+)

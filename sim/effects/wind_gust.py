@@ -1,0 +1,54 @@
+"""Wind that comes and goes."""
+
+from typing import Any
+
+import warp as wp
+
+from ...kernels.algebra import add, div, mul, sub
+from ...kernels.real import cos_root, fma, fnma, real, round_, sin_ratio
+from .registry import Effect, EffectParameter, Law, register
+
+PI = wp.constant(wp.float64(3.141592653589793))
+
+
+@wp.func
+def wind_gust(b: Any, p: Any):
+    """F = A (s sin 2 pi f t + c cos 2 pi f t), horizontal, t on the absolute clock, by half angles."""
+    cycles = p.e * b.time
+    half = (cycles - round_(cycles)) * real(PI, cycles)
+    u = half * half
+    sine = sin_ratio(u) * half
+    cosine = cos_root(u)
+    double_sine = sine * cosine * real(2.0, u)
+    double_cosine = fnma(sine + sine, sine, real(1.0, u))
+    x = fma(p.b, double_cosine, p.a * double_sine)
+    y = fma(p.d, double_cosine, p.c * double_sine)
+    return type(b.velocity)(x * b.area, y * b.area, real(0.0, u))
+
+
+def _pressure(name: str) -> EffectParameter:
+    return EffectParameter(name, "Pa", lambda s: -0.3 * s.force / s.area, lambda s: 0.3 * s.force / s.area)
+
+
+EFFECT = register(
+    Effect(
+        name="wind_gust",
+        summary="a horizontal force on every segment that oscillates at one frequency on the absolute clock",
+        source="Davenport 1961, Q. J. R. Meteorol. Soc. 87:194 (one component of the gust spectrum)",
+        signature="the open gripper sees the branch sway; replicates differ by their phase on the clock",
+        mistaken_for=("steady_wind",),
+        probe="a long recording with the gripper open",
+        branch=Law(
+            "link",
+            (
+                _pressure("sine_x_Pa"),
+                _pressure("cosine_x_Pa"),
+                _pressure("sine_y_Pa"),
+                _pressure("cosine_y_Pa"),
+                EffectParameter("frequency_Hz", "Hz", lambda s: 0.5 / s.duration, lambda s: 0.2 / s.dt, scale="log"),
+            ),
+            wind_gust,
+            per_joint=False,
+        ),
+    )
+)

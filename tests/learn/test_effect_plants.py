@@ -1,0 +1,216 @@
+"""Effects that change the structure against MuJoCo models built for it; every effect recovered where it is true."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from bough.learn.acting import Acting
+from bough.learn.case import load_case
+from bough.learn.equation_error import EquationError, torque_recordings
+from bough.learn.fit import find_modes
+from bough.learn.plant import free_of
+from bough.learn.plant_branch import Unknowns
+from bough.learn.rollout import Rollout, recordings
+from bough.learn.target import Target
+from bough.sim.effects import effects
+from bough.sim.errors import InputError
+from bough.sim.measured import measured_tree
+from bough.sim.stiffness import hold_rest_pose
+from bough.sim.tree import Joint, Tree
+from oracles.arm_case import write_arm
+from oracles.effect_case import simulate, stick_case, swing_case
+from oracles.mujoco_tree import compiled
+
+KS, DS = 20.0, 0.4
+N, DT = 120, 0.02
+
+
+def push(scale=1.0, n=N):
+    """Return a force that rises, wobbles, and is let go, [T, 3]."""
+    t = np.arange(n) * DT
+    size = np.where(t < 1.0, np.interp(t, [0.1, 0.5], [0, 1]) * (1 + 0.3 * np.sin(9 * t)), 0.0)
+    return scale * size[:, None] * np.array([2.0, -3.0, 1.5])
+
+
+def by_mujoco(tree: Tree, link: int, force, substeps=80):
+    """Return the displacement [T, 3] of the point 0.4 m along a link under a force that is linear between samples."""
+    model, data = compiled(tree, DT / substeps)
+    held = data.qfrc_applied.copy()
+    mujoco.mj_forward(model, data)
+
+    def point():
+        return data.xpos[link + 1] + data.xmat[link + 1].reshape(3, 3) @ [0.0, 0.0, 0.4]
+
+    start, out = point().copy(), np.zeros((len(force), 3))
+    for k in range(len(force) - 1):
+        for step in range(substeps):
+            share = (step + 0.5) / substeps
+            data.qfrc_applied[:] = held
+            mujoco.mj_applyFT(model, data, force[k] * (1 - share) + force[k + 1] * share, np.zeros(3), point(),
+                              link + 1, data.qfrc_applied)  # fmt: skip
+            mujoco.mj_step(model, data)
+        out[k + 1] = point() - start
+    return out
+
+
+def close(ours, wanted):
+    """Agree to what a first-order step of 2.5 ms leaves of a swing of about 10 rad/s: 1.5 % of the largest value."""
+    assert np.abs(wanted).max() > 0.02
+    np.testing.assert_allclose(ours, wanted, atol=0.015 * np.abs(wanted).max())
+
+
+def test_tip_mass_equals_a_heavier_model(tmp_path):
+    """Move as MuJoCo does with the mass in the link's own mass, centre and inertia."""
+    case, extra = stick_case(tmp_path / "c", [push()]), 0.25
+    tree = measured_tree(case, [KS], [DS])
+    mass, com, tip = tree.mass[0], tree.com[0], np.array([0.0, 0.0, 0.5])
+    centre = (mass * com + extra * tip) / (mass + extra)
+    about = tree.inertia[0].copy()
+    for m, p in ((mass, com), (extra, tip)):
+        d = p - centre
+        about += m * (d @ d * np.eye(3) - np.outer(d, d))
+    heavy = hold_rest_pose(tree.with_(mass=[mass + extra], com=centre[None], inertia=about[None]))
+    ours = simulate(case, KS, DS, form="branch", without=("base_compliance",), tip_mass={"mass_kg": extra})[0, :, :3]
+    wanted = by_mujoco(heavy, 0, push())
+    close(ours, wanted)
+    assert np.abs(by_mujoco(tree, 0, push()) - wanted).max() > 0.1 * np.abs(wanted).max()
+
+
+def test_base_compliance_equals_a_chain_of_two(tmp_path):
+    """Move as MuJoCo does with a ball joint 0.6 m below the base."""
+    case, compliance, relaxation = stick_case(tmp_path / "c", [push()]), 0.02, 0.03
+    branch = measured_tree(case, [KS], [DS])
+    two = Tree(
+        name="two", link_name=["trunk", "stick"], parent=[-1, 0], joint=[Joint.SPHERICAL] * 2,
+        position=[[0, 0, 0.4], [0, 0, 0.6]], rotation=[[1, 0, 0, 0], branch.rotation[0]],
+        mass=[1e-6, branch.mass[0]], com=[[0, 0, 0], branch.com[0]], inertia=[1e-9 * np.eye(3), branch.inertia[0]],
+        stiffness=[1 / compliance, KS], damping=[relaxation / compliance, DS],
+    )  # fmt: skip
+    unknowns = Unknowns(effects=(Acting("base_compliance"),))
+    rollout = Rollout(case, recordings(case), 1, unknowns=unknowns)
+    rollout._output.torch.fill_(torch.nan)
+    ours = rollout(torch.tensor([[KS, DS, compliance, relaxation]]))[0, 0, :, :3].double().numpy()
+    close(ours, by_mujoco(hold_rest_pose(two), 1, push()))
+    locked = rollout(torch.tensor([[KS, DS, 0.0, 0.02]]))[0, 0, :, :3].double().numpy()
+    plain = Rollout(case, recordings(case), 1)(torch.tensor([[KS, DS]]))[0, 0, :, :3].double().numpy()
+    np.testing.assert_allclose(locked, plain, atol=1e-6)  # float32 of a metre
+    assert np.abs(ours - plain).max() > 0.1 * np.abs(plain).max()
+
+
+# ---- recovery ------------------------------------------------------------------------------------------------------
+
+BRANCH_TRUTH = {
+    "cubic_stiffness": (6.0,),
+    "dry_friction": (0.25,),
+    "hysteresis_boucwen": (0.6, 0.06),
+    "quadratic_drag": (25.0,),
+    "viscoelastic_sls": (0.5, 0.3),
+    "tip_mass": (0.2,),
+    "base_compliance": (0.02, 0.02),
+    "backlash": (0.03,),
+    "plastic_set": (0.4, 0.1),
+    "partial_rupture": (0.4, 20.9),
+    "grasp_slip": (0.05, 0.5),
+    "force_bias": (0.2, -0.3, 0.25),
+    "force_scale": (1.3,),
+    "time_delay": (0.03,),
+    "steady_wind": (30.0, -40.0, 20.0),
+    "wind_gust": (20.0, -15.0, 10.0, 12.0, 0.9),
+    "gravity_comp_error": (0.15, 0.6),
+    "anisotropic_stiffness": (0.8, 0.7),
+    "bilinear_stiffness": (1.0, 1.2),
+    "bending_torsion_coupling": (0.4, 0.9),
+}
+FIXED_AT_TRUTH = {"gravity_comp_error": ("tared",), "wind_gust": ("frequency_Hz",), "partial_rupture": ("moment_s",)}
+
+
+def switched_off(name):
+    """Return every other effect, known to be off: one kernel does for all tests but the trunk's."""
+    others = () if name == "base_compliance" else [e for e in effects() if e.name in {*BRANCH_TRUTH} - {name}]
+    return [Acting(e.name, 0 if e.branch.per_joint else None, {p.name: p.neutral for p in e.branch.parameters})
+            for e in others if e.name != "base_compliance"]  # fmt: skip
+
+
+def test_every_effect_is_recovered_below():
+    """Leave no effect of the format's list without a truth to recover."""
+    assert {e.name for e in effects() if e.branch is not None} >= set(BRANCH_TRUTH)
+    assert len(BRANCH_TRUTH) == 20
+
+
+@pytest.fixture(scope="module")
+def stick(tmp_path_factory):
+    """Probe a stick twice, in opposite directions, with open rows at both ends."""
+    open_ends = [(0.0, 0.08), (1.04, (N - 1) * DT)]
+    case = stick_case(tmp_path_factory.mktemp("stick"), [push(2.0), push(-1.5)[:, [1, 0, 2]]], opened=open_ends)
+    moved = tuple(replace(t, displacement=t.displacement + 0.2 * np.eye(3)[0], velocity=t.velocity + 1.0)
+                  for t in case.trajectories)  # fmt: skip
+    return replace(case, trajectories=moved)  # priors are scaled by what was measured: 0.2 m, 1.7 m/s
+
+
+@pytest.mark.parametrize("name", sorted(BRANCH_TRUTH))
+def test_truth_is_recovered(stick, name):
+    """Find spring, damper and effect by Levenberg-Marquardt from a third off, from exact motion."""
+    truth = dict(zip([p.name for p in next(e for e in effects() if e.name == name).branch.parameters],
+                     BRANCH_TRUTH[name], strict=True))  # fmt: skip
+    row = next(e for e in effects() if e.name == name)
+    known = {p: truth[p] for p in FIXED_AT_TRUTH.get(name, ())}
+    unknowns = Unknowns(effects=(*switched_off(name), Acting(name, 0 if row.branch.per_joint else None, known)))
+    values = torch.tensor([[KS, DS, *(v for p, v in truth.items() if p not in known)]], dtype=torch.float64)
+    motion = Rollout(stick, recordings(stick), 1, unknowns=unknowns)(values)[0].double().numpy()
+    chosen = [replace(r, output=m) for r, m in zip(recordings(stick), motion, strict=True)]
+    target = Target(stick, chosen, torch.tensor([1e-4] * 3 + [1e-3] * 3), unknowns=unknowns)
+    parameters = target.plant.parameters
+    free = free_of(parameters, values)
+    log = torch.tensor([p.scale == "log" for p in parameters])
+    size = torch.where(log, 0.3, 0.12 * torch.tensor([p.high - p.low for p in parameters]).clamp(max=4 * values.abs()))
+    signs = torch.tensor([[1.0, -1, 1, -1, 1, 1, 1][: len(parameters)], [-1.0, -1, -1, 1, 1, -1, 1][: len(parameters)]])
+    starts = torch.cat([free + size * signs, target.log_noise0.expand(2, -1)], 1)
+    modes = find_modes(target, starts)
+    best = modes.theta[modes.log_posterior.argmax(), : len(parameters)]
+    # exact data: what is left is the noise assumed, four standard deviations of it
+    spread = torch.linalg.inv(modes.precision[modes.log_posterior.argmax()]).diagonal().sqrt()[: len(parameters)]
+    assert ((best - free[0]).abs() < 4 * spread + 0.02 * torch.where(log, 1.0, free[0].abs())).all(), list(
+        zip([p.name for p in parameters], best.tolist(), free[0].tolist(), spread.tolist(), strict=True)
+    )
+    assert spread[2] < torch.where(log[2], 0.3, 0.3 * free[0, 2].abs())  # the data does tell
+
+
+def test_faulty_effects_are_one_line(stick, tmp_path):
+    """Refuse what cannot act, naming it and what is allowed."""
+    for acting, words in (
+        ([Acting("friction", 0)], "'friction'; allowed: one of cubic_stiffness"),
+        ([Acting("dry_friction")], "joint None; allowed: a joint, 0 to 0"),
+        ([Acting("dry_friction", 1)], "joint 1; allowed: a joint, 0 to 0"),
+        ([Acting("tip_mass", 0)], "joint 0; allowed: no joint"),
+        ([Acting("dry_friction", 0)] * 2, "a second time"),
+        ([Acting("dry_friction", 0, {"torque": 1.0})], "'torque'; allowed: one of torque_Nm"),
+        ([Acting("dry_friction", 0, {"torque_Nm": np.nan})], "a finite number"),
+    ):
+        with pytest.raises(InputError) as e:
+            Rollout(stick, recordings(stick), 1, unknowns=Unknowns(effects=tuple(acting)))
+        assert words in str(e.value) and "\n" not in str(e.value)
+    hinge = swing_case(tmp_path / "swing", [(0.1, 0.0)])
+    with pytest.raises(InputError, match="an effect that a joint case cannot have"):
+        Rollout(hinge, recordings(hinge), 1, unknowns=Unknowns(effects=(Acting("tip_mass"),)))
+
+
+def test_torque_fit_takes_effects(tmp_path):
+    """Need T v / sqrt(v^2 + c^2) more at one joint and c v |v| more at the other; refuse what is not at a joint."""
+    case = load_case(write_arm(tmp_path / "arm", unknown=["damping"], seeds=(0,)))
+    chosen = torque_recordings(case)
+    acting = (Acting("dry_friction", 1), Acting("quadratic_drag", 0))
+    values = torch.tensor([[0.1, 0.2, 0.7, 0.3]])
+    plain = EquationError(case, chosen, 1)(values[:, :2])[0, 0].double().numpy().copy()
+    rollout = EquationError(case, chosen, 1, unknowns=Unknowns(effects=acting))
+    assert [p.name for p in rollout.plant.parameters[2:]] == ["dry_friction@1 torque_Nm",
+                                                             "quadratic_drag@0 coefficient_Nms2"]  # fmt: skip
+    rollout._output.torch.fill_(torch.nan)
+    extra = rollout(values)[0, 0].double().numpy() - plain
+    rate = chosen[0].input[:, [1, 4]]
+    np.testing.assert_allclose(extra[:, 0], 0.3 * rate[:, 0] * np.abs(rate[:, 0]), atol=2e-5)
+    np.testing.assert_allclose(extra[:, 1], 0.7 * rate[:, 1] / np.hypot(rate[:, 1], 0.01), atol=2e-5)
+    assert np.abs(extra).max(axis=0).min() > 0.1
+    with pytest.raises(InputError, match="force_scale in a torque fit"):
+        EquationError(case, chosen, 1, unknowns=Unknowns(effects=(Acting("force_scale", 0),)))
