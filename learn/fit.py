@@ -9,6 +9,11 @@ import torch
 
 from .target import Target
 
+#: A climb is over when a round of six iterations gains less than this in log density, or after so many rounds.
+SETTLED, ROUNDS = 0.1, 10
+#: Steps towards the likeliest noise where the force's noise correlates the channels.
+NOISE_STEPS = 20
+
 
 @dataclass(frozen=True)
 class Modes:
@@ -63,7 +68,7 @@ def levenberg_marquardt(
     for _ in range(iterations):
         prediction, derivative = target.linearise(trial)
         residual = target.whiten(target.residual(prediction) * window, noise)
-        cost = 0.5 * (residual**2).sum((-1, -2, -3)) - target.prior(trial)
+        cost = 0.5 * (residual**2).sum((-1, -2, -3)) - target.beside(trial)
         better = (cost < best_cost) & torch.isfinite(cost)
         rows = _white_rows(target, jacobian_rows(target, derivative) * window[..., None], noise)
         normal = rows.transpose(1, 2) @ rows + prior_curvature(target, trial)[:, :free, :free]
@@ -116,7 +121,7 @@ def _solve(normal: torch.Tensor, pull: torch.Tensor, damping: torch.Tensor) -> t
 
 def _prior_gradient(target: Target, theta: torch.Tensor) -> torch.Tensor:
     leaf = theta.detach().requires_grad_()
-    return torch.autograd.grad(target.prior(leaf).sum(), leaf)[0]
+    return torch.autograd.grad(target.beside(leaf).sum(), leaf)[0]
 
 
 def prior_curvature(target: Target, theta: torch.Tensor) -> torch.Tensor:
@@ -132,53 +137,100 @@ def prior_curvature(target: Target, theta: torch.Tensor) -> torch.Tensor:
 def settle_noise(target: Target, theta: torch.Tensor) -> torch.Tensor:
     """Return theta with every group's noise at its most likely value given the rest.
 
-    At that value the group's share of the whitened residuals' squares is its number of samples; where groups are
-    correlated the equations are coupled, and a few rounds solve them.
+    At that value the group's share of the whitened residuals' squares is its number of samples, which gives the noise
+    in one step where residuals are white. Where groups are correlated a step is taken as far as the likelihood rises.
     """
     if not target.num_noise:
         return theta
-    out, r = theta.clone(), target.residual(target.predict(theta))
-    for _ in range(1 if target.colour is None else 12):
-        noise = out[:, -target.num_noise :].requires_grad_()
-        squares = (target.whiten(r, noise) ** 2).sum()
-        share = -0.5 * torch.autograd.grad(squares, noise)[0]
-        out = out.detach()
-        out[:, -target.num_noise :] += 0.5 * torch.log((share / target.per_group).clamp(min=0.05))
-    return out
+    prediction, noise = target.predict(theta), theta[:, -target.num_noise :]
+    residual, value = target.residual(prediction), target.log_likelihood(prediction, noise)
+    size = torch.ones_like(value)[:, None]
+    for _ in range(1 if target.colour is None else NOISE_STEPS):
+        trial = noise + size * _noise_step(target, residual, noise)
+        found = target.log_likelihood(prediction, trial)
+        better = found > value
+        noise, value = torch.where(better[:, None], trial, noise), torch.where(better, found, value)
+        size = torch.where(better[:, None], (2.0 * size).clamp(max=1.0), 0.4 * size)
+    return torch.cat([theta[:, : -target.num_noise], noise], 1)
+
+
+def _noise_step(target: Target, residual: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+    leaf = noise.detach().requires_grad_()
+    share = -0.5 * torch.autograd.grad((target.whiten(residual, leaf) ** 2).sum(), leaf)[0]
+    return 0.5 * torch.log((share / target.per_group).clamp(min=0.05))
 
 
 def find_modes(target: Target, starts: torch.Tensor, progress: Callable[[int], None] = lambda _: None) -> Modes:
-    """Climb from every start [S, D] over growing horizons and return where they end."""
+    """Climb from every start [S, D] over growing horizons and return where they end.
+
+    What has not come near by the end of the last horizon ends in side minima: the better half goes on, and of these the
+    better half until it has settled.
+    """
     theta = starts
-    horizons = (0.03, 0.1, 0.3, 1.0) if target.num_starts else (1.0,)
+    horizons, iterations = ((0.03, 0.1, 0.3, 1.0), 10) if target.num_starts else ((0.15, 0.4, 1.0), 7)
     for horizon in horizons:
-        theta = levenberg_marquardt(target, theta, iterations=10, horizon=horizon, progress=progress)
-    # the better half goes on: what has not come near by now ends in side minima
-    cost = target.log_density(settle_noise(target, theta))
-    ahead = torch.argsort(torch.nan_to_num(cost, nan=-torch.inf), descending=True)[: max(1, len(theta) // 2)]
-    for iterations in (8, 6):  # what is left over says how to weigh the channels, and that moves the mode
-        theta[ahead] = levenberg_marquardt(
-            target, settle_noise(target, theta[ahead]), iterations=iterations, progress=progress
-        )
+        theta = levenberg_marquardt(target, theta, iterations=iterations, horizon=horizon, progress=progress)
+    ahead = _best(target, theta, len(theta) // 2)
+    # what is left over says how to weigh the channels, and that moves the mode
+    theta[ahead] = levenberg_marquardt(target, settle_noise(target, theta[ahead]), iterations=12, progress=progress)
+    ahead = _best(target, theta, len(theta) // 4)
+    theta[ahead] = climb_until_settled(target, theta[ahead], progress)
     theta = settle_noise(target, theta)
     evaluation = target.evaluate(theta)
     return Modes(theta, torch.nan_to_num(evaluation.log_posterior, nan=-torch.inf), precision_at(target, theta))
 
 
+def _best(target: Target, theta: torch.Tensor, count: int) -> torch.Tensor:
+    """Return the indices of the best vectors, at least one."""
+    density = torch.nan_to_num(target.log_density(settle_noise(target, theta)), nan=-torch.inf)
+    return torch.argsort(density, descending=True)[: max(1, count)]
+
+
+def climb_until_settled(
+    target: Target, theta: torch.Tensor, progress: Callable[[int], None] = lambda _: None
+) -> torch.Tensor:
+    """Climb from vectors [S, D], noise and the rest in turn, until none gains `SETTLED` over a round of six iterations.
+
+    Along the valley in which neighbouring joints trade stiffness, some starts need fifty iterations.
+    """
+    theta, before = settle_noise(target, theta), torch.full_like(theta[:, 0], -torch.inf)
+    for _ in range(ROUNDS):
+        theta = settle_noise(target, levenberg_marquardt(target, theta, iterations=6, progress=progress))
+        now = torch.nan_to_num(target.log_density(theta), nan=-torch.inf)
+        if not (now > before + SETTLED).any():
+            break
+        before = torch.maximum(before, now)
+    return theta
+
+
+def representatives(modes: Modes) -> list[int]:
+    """Return for every start the best one that ended at the same mode, within three of its deviations."""
+    out = [-1] * len(modes.theta)
+    found: list[int] = []
+    for i in torch.argsort(modes.log_posterior, descending=True).tolist():
+        away = [modes.theta[i] - modes.theta[j] for j in found]
+        near = [j for j, d in zip(found, away, strict=True) if d @ modes.precision[j] @ d <= 9.0]
+        out[i] = near[0] if near else i
+        if not near:
+            found.append(i)
+    return out
+
+
 def refine(target: Target, modes: Modes, keep: int = 4) -> Modes:
-    """Climb again from the best few modes, after the target's noise model has changed."""
-    order = torch.argsort(modes.log_posterior, descending=True)[:keep]
+    """Climb again from the best few modes, after the target's noise model has changed; all starts go with theirs."""
+    of = torch.tensor(representatives(modes), device=modes.theta.device)
+    ranked = modes.log_posterior.argsort(descending=True)
+    order = ranked[of[ranked] == ranked][:keep]
     theta = modes.theta[order]
-    for _ in range(2):
-        theta = settle_noise(target, levenberg_marquardt(target, theta, iterations=4))
-    log_posterior = modes.log_posterior.clone()
-    log_posterior[order] = torch.nan_to_num(target.log_density(theta), nan=-torch.inf)
-    worst = torch.ones_like(log_posterior, dtype=torch.bool)
-    worst[order] = False
+    if target.num_noise:  # the old model took for noise what the new one may explain
+        theta = torch.cat([theta[:, : -target.num_noise], target.log_noise0.expand(len(theta), -1)], 1)
+    theta = climb_until_settled(target, levenberg_marquardt(target, theta, iterations=12))
+    found = torch.nan_to_num(target.log_density(theta), nan=-torch.inf)
     # what was not climbed again keeps its distance to the best of what was
-    log_posterior[worst] += log_posterior[order].max() - modes.log_posterior.max()
-    moved, precision = modes.theta.clone(), modes.precision.clone()
-    moved[order], precision[order] = theta, precision_at(target, theta)
+    log_posterior = modes.log_posterior + (found.max() - modes.log_posterior.max())
+    moved, precision, fresh = modes.theta.clone(), modes.precision.clone(), precision_at(target, theta)
+    for k, i in enumerate(order.tolist()):
+        moved[of == i], precision[of == i], log_posterior[of == i] = theta[k], fresh[k], found[k]
     return Modes(moved, log_posterior, precision)
 
 

@@ -8,6 +8,10 @@ minus simulated motion is sensor noise plus the noise's response: to first order
 with D the channels' noise and B the response of the outputs to one standard deviation of the force at every sample.
 Taking r for white would make intervals too narrow where the response lasts. With D^-1 B = U S V^T the residual is
 whitened by e = (1 - U (1 - (1 + S^2)^-1/2) U^T) D^-1 r.
+
+The recorded force holds its own noise, so |e|^2 / 2 also contains the noise that each parameter vector lets through,
+tr((D^2 + B B^T)^-1 B' B'^T) / 2 in the mean with B' its own response. Vectors that let less through would win by that;
+its slope is taken out (errors in variables: the profile likelihood over the true force has it too, to first order).
 """
 
 from __future__ import annotations
@@ -37,19 +41,31 @@ class Colour:
     Attributes:
         basis: Orthonormal columns U, shape [R, T C, M].
         gain: Squared singular values S^2, shape [R, M].
+        power: tr((D^2 + B B^T)^-1 B' B'^T) / 2 for the responses B' at other parameters, shape [S].
     """
 
     basis: torch.Tensor
     gain: torch.Tensor
+    power: torch.Tensor
 
-    def whiten(self, z: torch.Tensor) -> torch.Tensor:
-        """Whiten residuals [..., R, T, C] that are in units of the channels' noise."""
-        flat = z.flatten(-2).transpose(0, -2) if z.dim() > 3 else z.flatten(-2)[:, None]
-        rows = flat.reshape(len(self.basis), -1, flat.shape[-1])
-        shrink = 1.0 - (1.0 + self.gain).rsqrt()
-        rows = rows - ((rows @ self.basis) * shrink[:, None]) @ self.basis.transpose(1, 2)
-        out = rows.reshape(flat.shape)
-        return (out.transpose(0, -2) if z.dim() > 3 else out[:, 0]).unflatten(-1, z.shape[-2:])
+    def whiten(self, z: torch.Tensor, share: torch.Tensor) -> torch.Tensor:
+        """Whiten residuals that are in units of the channels' noise.
+
+        Args:
+            z: Residuals, shape [P, ..., R, T, C].
+            share: Squared ratio of the estimated to the present noise of the channels, shape [P]: where a channel is
+                noisier than estimated, the force is not.
+        """
+        flat = z.flatten(-2).movedim(-2, 0)
+        rows = flat.flatten(1, -2)
+        shrink = 1.0 - (1.0 + share[:, None] * self.gain[:, None]).rsqrt()
+        inside = (rows @ self.basis).unflatten(1, (len(share), -1)) * shrink[:, :, None]
+        rows = rows - inside.flatten(1, 2) @ self.basis.transpose(1, 2)
+        return rows.reshape(flat.shape).movedim(0, -2).unflatten(-1, z.shape[-2:])
+
+    def log_volume(self, share: torch.Tensor) -> torch.Tensor:
+        """Return half the log determinant of the covariance in units of the channels' noise, [P] from shares [P]."""
+        return 0.5 * torch.log1p(share[:, None, None] * self.gain).sum((-1, -2))
 
     def variance(self, shape: tuple[int, int]) -> torch.Tensor:
         """Return what the input's noise adds to the variance of every output, in units of the noise's, [R, T, C]."""
@@ -58,7 +74,7 @@ class Colour:
 
 def input_colour(
     case: BranchCase, chosen: Sequence[Recording], values: torch.Tensor, force_sigma: Array, sigma: torch.Tensor, *,
-    unknowns: Unknowns | None = None, device: object = None,
+    nearby: torch.Tensor | None = None, unknowns: Unknowns | None = None, device: object = None,
 ) -> Colour:  # fmt: skip
     """Return the colour that noise of the force gives to recordings simulated with parameters ``values`` [n].
 
@@ -68,22 +84,31 @@ def input_colour(
         values: Parameters about which the response is linear.
         force_sigma: Noise of the force [N], shape [3].
         sigma: Noise of the outputs, shape [C].
+        nearby: Parameters at which the power of the response is asked for, shape [S, n].
         unknowns: What the values are.
         device: Warp device.
     """
+    sets = values[None] if nearby is None else torch.cat([values[None], nearby])
     axes = np.flatnonzero(force_sigma > 0.0)
     pulsed, step = [], 5.0 * float(force_sigma.max())
     moments = [_moments(len(r.t)) for r in chosen]
     for r, at in zip(chosen, moments, strict=True):
         pulsed += [r, *(_pulse(r, int(k), int(a), step) for k in at for a in axes)]
-    out = Rollout(case, pulsed, 1, unknowns=unknowns, device=device)(values[None])[0].double()
-    parts, first = [], 0
+    out = Rollout(case, pulsed, len(sets), unknowns=unknowns, device=device)(sets)
+    sigma = sigma.to(out.device)
+    weight = torch.where(sigma > 0.0, 1.0 / torch.where(sigma > 0.0, sigma, 1.0), 0.0)[:, None]
+    parts, first, power = [], 0, torch.zeros(len(sets) - 1, dtype=torch.float64, device=out.device)
     for r, at in zip(chosen, moments, strict=True):
-        change = (out[first + 1 : first + 1 + len(at) * len(axes)] - out[first]) / step
-        response = change.unflatten(0, (len(at), len(axes)))
-        parts.append(_columns(r, at, response, force_sigma[axes]))
-        first += 1 + len(at) * len(axes)
-    return _decompose(parts, sigma.to(out.device))
+        pulses = slice(first + 1, first + 1 + len(at) * len(axes))
+        for k, one in enumerate(out):
+            response = ((one[pulses] - one[first]).double() / step).unflatten(0, (len(at), len(axes)))
+            scaled = (_columns(r, at, response, force_sigma[axes]) * weight).flatten(0, 1)
+            if k == 0:
+                parts.append(_decompose(scaled))
+            else:
+                power[k - 1] += _power(*parts[-1], scaled)
+        first = pulses.stop
+    return _stacked(parts, power)
 
 
 def _moments(length: int) -> Array:
@@ -117,18 +142,21 @@ def _columns(r: Recording, at: Array, response: torch.Tensor, force_sigma: Array
     return torch.cat(out).permute(1, 2, 0)
 
 
-def _decompose(parts: list[torch.Tensor], sigma: torch.Tensor) -> Colour:
-    active = sigma > 0.0
-    bases, gains = [], []
-    for columns in parts:
-        scaled = torch.where(active[:, None], columns / torch.where(active, sigma, 1.0)[:, None], 0.0).flatten(0, 1)
-        value, vector = torch.linalg.eigh(scaled.T @ scaled)
-        keep = value > 1e-2  # what adds less than a percent to the variance of any combination
-        bases.append(scaled @ (vector[:, keep] * value[keep].rsqrt()))
-        gains.append(value[keep])
-    most = max(1, *(len(g) for g in gains))
+def _decompose(scaled: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Columns U and squared singular values of D^-1 B, shape [T C, pieces]."""
+    value, vector = torch.linalg.eigh(scaled.T @ scaled)
+    keep = value > 1e-2  # what adds less than a percent to the variance of any combination
+    return scaled @ (vector[:, keep] * value[keep].rsqrt()), value[keep]
+
+
+def _power(basis: torch.Tensor, gain: torch.Tensor, scaled: torch.Tensor) -> torch.Tensor:
+    """Half the squares of whitened columns: (1 + U S^2 U^T)^-1 = 1 - U S^2 / (1 + S^2) U^T."""
+    inside = ((basis.T @ scaled) ** 2).sum(1)
+    return 0.5 * ((scaled**2).sum() - (gain / (1.0 + gain) * inside).sum())
+
+
+def _stacked(parts: list[tuple[torch.Tensor, torch.Tensor]], power: torch.Tensor) -> Colour:
+    most = max(1, *(len(g) for _, g in parts))
     pad = torch.nn.functional.pad
-    return Colour(
-        torch.stack([pad(b, (0, most - b.shape[1])) for b in bases]),
-        torch.stack([pad(g, (0, most - len(g))) for g in gains]),
-    )
+    bases = torch.stack([pad(b, (0, most - b.shape[1])) for b, _ in parts])
+    return Colour(bases, torch.stack([pad(g, (0, most - len(g))) for _, g in parts]), power)

@@ -131,8 +131,13 @@ def predict(
         coloured = input_colour(
             case, recordings, centre, force_sigma, sigma, unknowns=unknowns, device=device
         ).variance(simulated.shape[2:])  # type: ignore[arg-type] # fmt: skip
+    estimated = sigma.to(target.place) ** 2
     found = [
-        _scores(r, simulated[:, j, : len(r.t)], noise if coloured is None else noise * (1.0 + coloured[j, : len(r.t)]))
+        _scores(
+            r,
+            simulated[:, j, : len(r.t)],
+            noise if coloured is None else noise + estimated * coloured[j, : len(r.t)],
+        )
         for j, r in enumerate(recordings)
     ]
     columns = {name: [f[name] for f in found] for name in found[0]}

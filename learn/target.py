@@ -26,7 +26,7 @@ Loss = Literal["gaussian", "published"]
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The target at P vectors: log posterior [P], gradient [P, D], predictions and derivatives as `linearise` has them."""
+    """The target at P vectors: log posterior [P], gradient [P, D]; predictions, derivatives as of `linearise`."""
 
     log_posterior: torch.Tensor
     gradient: torch.Tensor
@@ -46,6 +46,8 @@ class Target:
         num_dims: Length D of theta.
         sigma0: Noise estimate of every channel, shape [C].
         colour: How noise of the measured force correlates the residuals; None takes them for white.
+        lean: Slope of the noise that the free coordinates let through, shape [n], and where it was taken; see
+            `input_noise`.
     """
 
     SPACING = 0.01
@@ -59,6 +61,7 @@ class Target:
         self.case, self.recordings, self.unknowns, self.device = case, list(chosen), unknowns, device
         self.loss, self.temperature = loss, temperature
         self.colour: Colour | None = None
+        self.lean: tuple[torch.Tensor, torch.Tensor] | None = None
         self._rollouts: dict[int, Rollout] = {}
         self.plant = self.rollout(1).plant
         self.place = self.rollout(1).torch_device
@@ -172,17 +175,33 @@ class Target:
             by_kind = torch.stack([(r[..., self.groups == g] ** 2).sum((-1, -2)) for g in self.groups.unique()], -1)
             return -(by_kind + 1e-30).sqrt().sum((-1, -2)) / self.temperature
         white = self.whiten(r, log_noise)
-        return -0.5 * (white**2).sum((-1, -2, -3)) - (self.per_group * log_noise).sum(-1)
+        value = -0.5 * (white**2).sum((-1, -2, -3)) - (self.per_group * log_noise).sum(-1)
+        return value if self.colour is None else value - self.colour.log_volume(self._share(log_noise))
+
+    def _share(self, log_noise: torch.Tensor) -> torch.Tensor:
+        """Squared ratio of the estimated to the present noise, the geometric mean over the groups, [P]."""
+        return torch.exp(-2.0 * (log_noise - self.log_noise0).mean(-1))
 
     def whiten(self, residual: torch.Tensor, log_noise: torch.Tensor) -> torch.Tensor:
         """Return residuals [P, ..., R, T, C] as white noise of deviation one, given the channels' noise [P, g]."""
         sigma = log_noise.exp()[:, self.groups]
         z = residual / sigma.reshape(len(sigma), *[1] * (residual.dim() - 2), -1)
-        return z if self.colour is None else self.colour.whiten(z)
+        return z if self.colour is None else self.colour.whiten(z, self._share(log_noise))
+
+    def beside(self, theta: torch.Tensor) -> torch.Tensor:
+        """Return what the log posterior holds beside the likelihood of the residuals, shape [...]: prior and lean.
+
+        Where noise is inferred to be larger than estimated, by a model's misfit, the force's share in it is smaller.
+        """
+        if self.lean is None:
+            return self.prior(theta)
+        slope, centre = self.lean
+        share = self._share(theta[..., -self.num_noise :].detach()).clamp(max=1.0)
+        return self.prior(theta) + share * ((theta[..., : self.num_parameters] - centre) * slope).sum(-1)
 
     def log_density(self, theta: torch.Tensor) -> torch.Tensor:
         """Return the log posterior [P] of [P, D] alone, from one world a vector and recording."""
-        return self.log_likelihood(self.predict(theta), self.split(theta)[2]) + self.prior(theta)
+        return self.log_likelihood(self.predict(theta), self.split(theta)[2]) + self.beside(theta)
 
     def evaluate(self, theta: torch.Tensor, derivative: torch.Tensor | None = None) -> Evaluation:
         """Evaluate the log posterior and its gradient at [P, D].
@@ -198,7 +217,7 @@ class Target:
             prediction = self.predict(theta)
         leaf, free = prediction.detach().requires_grad_(), theta.detach().requires_grad_()
         noise = self.split(free)[2]
-        log_posterior = self.log_likelihood(leaf, noise) + self.prior(free)
+        log_posterior = self.log_likelihood(leaf, noise) + self.beside(free)
         by_output, by_theta = torch.autograd.grad(log_posterior.sum(), (leaf, free))
         weight = by_output.to(derivative.dtype).transpose(0, 1).flatten(2)
         by_recording = torch.einsum("rpk,pmrk->pmr", weight, derivative.flatten(3)).double()

@@ -59,7 +59,7 @@ def test_whitened_draws_are_white(noisy):
     _, colour, response = noisy
     rng = torch.Generator().manual_seed(0)
     residual = response + torch.randn(response.shape, generator=rng, dtype=torch.float64)
-    white, raw = colour.whiten(residual[:, None]).flatten(1), residual.flatten(1)
+    white, raw = colour.whiten(residual[:, None], torch.ones(len(residual))).flatten(1), residual.flatten(1)
     basis, strong = colour.basis[0], colour.gain[0] > 1.0
     assert int(strong.sum()) >= 5 and colour.gain.max() > 100.0
     assert ((raw @ basis)[:, strong].var(0) > 1.7).all()
@@ -91,7 +91,7 @@ def test_fast_answers_are_seen(tmp_path):
     force = 0.02 * np.sqrt(np.mean(np.concatenate([r.input[r.contact] for r in chosen]) ** 2))
     colour = input_colour(case, chosen, values[0], np.full(3, force), torch.as_tensor(sigma))
     measured = torch.stack([torch.as_tensor(r.output) for r in chosen])
-    white = colour.whiten((measured - clean) / torch.as_tensor(sigma))
+    white = colour.whiten(((measured - clean) / torch.as_tensor(sigma))[None], torch.ones(1))
     raw = (measured - clean) / torch.as_tensor(sigma)
     assert abs(float(white.square().mean()) - 1.0) < 0.25
     assert float(raw.square().mean()) > 100.0
@@ -102,16 +102,23 @@ def test_whitening_inverts_the_covariance():
     rng = torch.Generator().manual_seed(1)
     basis = torch.linalg.qr(torch.randn(2, 12, 3, generator=rng, dtype=torch.float64))[0]
     gain = torch.tensor([[0.5, 20.0, 1e4], [3.0, 0.0, 1.0]], dtype=torch.float64)
-    colour = Colour(basis, gain)
+    colour = Colour(basis, gain, torch.zeros(0))
     identity = torch.eye(12, dtype=torch.float64).reshape(12, 1, 4, 3).expand(12, 2, 4, 3)
-    rows = colour.whiten(identity).flatten(2)  # row i is W e_i of each recording
+    rows = colour.whiten(identity, torch.ones(len(identity), dtype=torch.float64)).flatten(
+        2
+    )  # row i is W e_i of each recording
     for r in range(2):
         w = rows[:, r].T
         covariance = torch.eye(12) + basis[r] * gain[r] @ basis[r].T
         torch.testing.assert_close(w @ covariance @ w.T, torch.eye(12, dtype=torch.float64), atol=1e-9, rtol=0)
-    torch.testing.assert_close(colour.whiten(identity[5]), colour.whiten(identity)[5])
+    torch.testing.assert_close(
+        colour.whiten(identity[5]), colour.whiten(identity, torch.ones(len(identity), dtype=torch.float64))[5]
+    )
     stacked = identity.unflatten(0, (3, 4))
-    torch.testing.assert_close(colour.whiten(stacked), colour.whiten(identity).unflatten(0, (3, 4)))
+    torch.testing.assert_close(
+        colour.whiten(stacked, torch.ones(len(stacked), dtype=torch.float64)),
+        colour.whiten(identity).unflatten(0, (3, 4)),
+    )
 
 
 def test_noise_is_felt_in_contact_only(noisy):
