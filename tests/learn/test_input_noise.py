@@ -29,7 +29,7 @@ def noisy(tmp_path_factory):
     force = 0.04 * np.sqrt(np.mean(chosen.input[chosen.contact] ** 2))
     sigma = np.repeat([0.005 * np.sqrt(np.mean(chosen.output[:, c : c + 3] ** 2)) for c in (0, 3)], 3)
     values = torch.tensor(np.concatenate([STIFFNESS, DAMPING]))
-    colour = input_colour(case, [chosen], values, np.full(3, force), torch.as_tensor(sigma))
+    colour = input_colour(case, [chosen], values, np.full(3, force), torch.as_tensor(sigma), nearby=values[None])
     noise = force * rng.normal(size=(DRAWS, *chosen.input.shape)) * chosen.contact[:, None]
     every = [chosen, *(replace(chosen, input=chosen.input + n) for n in noise)]
     out = Rollout(case, every, 1)(values[None])[0].double()
@@ -104,21 +104,36 @@ def test_whitening_inverts_the_covariance():
     gain = torch.tensor([[0.5, 20.0, 1e4], [3.0, 0.0, 1.0]], dtype=torch.float64)
     colour = Colour(basis, gain, torch.zeros(0))
     identity = torch.eye(12, dtype=torch.float64).reshape(12, 1, 4, 3).expand(12, 2, 4, 3)
-    rows = colour.whiten(identity, torch.ones(len(identity), dtype=torch.float64)).flatten(
-        2
-    )  # row i is W e_i of each recording
+    one = torch.ones(12, dtype=torch.float64)
+    rows = colour.whiten(identity, one).flatten(2)  # row i is W e_i of each recording
     for r in range(2):
         w = rows[:, r].T
         covariance = torch.eye(12) + basis[r] * gain[r] @ basis[r].T
         torch.testing.assert_close(w @ covariance @ w.T, torch.eye(12, dtype=torch.float64), atol=1e-9, rtol=0)
-    torch.testing.assert_close(
-        colour.whiten(identity[5]), colour.whiten(identity, torch.ones(len(identity), dtype=torch.float64))[5]
-    )
     stacked = identity.unflatten(0, (3, 4))
-    torch.testing.assert_close(
-        colour.whiten(stacked, torch.ones(len(stacked), dtype=torch.float64)),
-        colour.whiten(identity).unflatten(0, (3, 4)),
-    )
+    torch.testing.assert_close(colour.whiten(stacked, one[:3]), colour.whiten(identity, one).unflatten(0, (3, 4)))
+
+
+def test_noisier_channels_do_not_make_the_force_noisier():
+    """With channels twice as noisy the covariance is 4 + U S^2 U^T: its inverse root and determinant follow."""
+    rng = torch.Generator().manual_seed(2)
+    basis = torch.linalg.qr(torch.randn(1, 6, 2, generator=rng, dtype=torch.float64))[0]
+    gain = torch.tensor([[3.0, 40.0]], dtype=torch.float64)
+    colour, share = Colour(basis, gain, torch.zeros(0)), torch.tensor([0.25], dtype=torch.float64)
+    covariance = 4.0 * torch.eye(6, dtype=torch.float64) + basis[0] * gain[0] @ basis[0].T
+    r = torch.randn(6, generator=rng, dtype=torch.float64)
+    white = colour.whiten((r / 2.0).reshape(1, 1, 2, 3), share)
+    torch.testing.assert_close((white**2).sum(), r @ torch.linalg.solve(covariance, r))
+    volume = 6 * np.log(2.0) + colour.log_volume(share)[0]
+    torch.testing.assert_close(volume, 0.5 * torch.logdet(covariance))
+
+
+def test_power_of_the_response(noisy):
+    """Ask for the same parameters: tr((1 + B B^T)^-1 B B^T) / 2, the sum of g / (1 + g) over directions."""
+    colour = noisy[1]
+    expected = float(0.5 * (colour.gain / (1.0 + colour.gain)).sum())
+    # directions with gains below a hundredth are not kept in the basis, but count in the power
+    assert expected <= float(colour.power[0]) <= 1.05 * expected
 
 
 def test_noise_is_felt_in_contact_only(noisy):

@@ -32,15 +32,37 @@ def write(path="posterior.npz", **changes):
     return path
 
 
+def shrunken_kde(points):
+    """SciPy's kernel density on points drawn towards their mean, with a bandwidth that undoes the shrinking."""
+    count, m = points.shape
+    h = count ** (-1.0 / (m + 4))
+    shrink = np.sqrt(1.0 - h * h)
+    centre = points.mean(0)
+    return stats.gaussian_kde((centre + shrink * (points - centre)).T, bw_method=h / shrink)
+
+
 @settings(max_examples=25, deadline=None)
 @given(m=st.integers(1, 5), count=st.integers(8, 60), seed=st.integers(0, 999))
 def test_density_is_scipys(m, count, seed):
-    """Equal SciPy's Gaussian kernel density with Scott's bandwidth, near the particles and far off."""
+    """Equal SciPy's Gaussian kernel density on shrunken points, near the particles and far off."""
     rng = np.random.default_rng(seed)
     points = rng.standard_normal((count, m)) @ (rng.standard_normal((m, m)) + 2.0 * np.eye(m))
     theta = 2.0 * rng.standard_normal((6, m)) @ np.diag(points.std(0))
     ours = EarlierPosterior(torch.arange(m), torch.from_numpy(points))(torch.from_numpy(theta))
-    assert np.allclose(ours, stats.gaussian_kde(points.T).logpdf(theta.T), rtol=1e-6, atol=1e-6)
+    assert np.allclose(ours, shrunken_kde(points).logpdf(theta.T), rtol=1e-6, atol=1e-6)
+
+
+def test_density_has_the_moments_of_the_particles():
+    """Integrate to the particles' own mean and variance, whatever their number."""
+    points = torch.from_numpy(particles())[:, :1]
+    prior = EarlierPosterior(torch.tensor([0]), points)
+    x = torch.linspace(-3, 3, 6001, dtype=torch.float64)
+    weight = prior(x[:, None]).exp() * 1e-3
+    mean = float((weight * x).sum())
+    spread = points.var(0) * (len(points) - 1) / len(points)
+    assert mean == pytest.approx(float(points.mean()), abs=1e-6)
+    # kernels take the covariance over P - 1, their places that over P
+    assert float((weight * (x - mean) ** 2).sum()) == pytest.approx(float(spread), rel=0.02)
 
 
 def test_density_integrates_to_one():
@@ -56,7 +78,7 @@ def test_reads_common_names_in_the_order_of_the_next_case():
     free = particles()[:, [1, 0]]
     free[:, 0] = np.log(free[:, 0])
     theta = np.array([[3.0, 7.0, -0.1], [2.7, 9.0, 0.1]])
-    expected = stats.gaussian_kde(free.T).logpdf(theta[:, [0, 2]].T)
+    expected = shrunken_kde(free).logpdf(theta[:, [0, 2]].T)
     assert prior.index.tolist() == [0, 2]
     assert np.allclose(prior(torch.from_numpy(theta)), expected)
     assert torch.allclose(prior(torch.from_numpy(theta).reshape(2, 1, 3)), torch.from_numpy(expected)[:, None])

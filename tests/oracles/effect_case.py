@@ -73,7 +73,8 @@ def simulate(case, stiffness, damping, *, start=None, chosen=None, form="joint",
     acting = tuple(Acting(e.name, 0 if e.law(form).per_joint else None) for e in rows)
     picked = recordings(case) if chosen is None else chosen
     rollout = Rollout(case, picked, 1, unknowns=Unknowns(effects=acting))
-    values = [*np.atleast_1d(stiffness), *np.atleast_1d(damping)]
+    offsets = sum(p.name.startswith("offset ") for p in rollout.plant.parameters)
+    values = [*np.atleast_1d(stiffness), *np.atleast_1d(damping), *[0.0] * offsets]
     for effect in rows:
         given = dict(on.get(effect.name, {}))
         values += [given.pop(p.name, p.neutral) for p in effect.law(form).parameters]
