@@ -12,7 +12,7 @@ import jinja2
 import numpy as np
 from matplotlib.figure import Figure
 
-from .figures import png
+from .figures import WIDTH, png
 
 REPORT = "report.html"
 
@@ -119,7 +119,8 @@ def write_report(folder: str | Path, content: ReportContent) -> Path:
             raise ValueError(f"figure file {item.file!r}: a plain name that ends in .png is needed")
         data = item.image if isinstance(item.image, bytes) else png(item.image)
         (out / item.file).write_bytes(data)
-        images.append((item, base64.b64encode(data).decode("ascii")))
+        share = 1.0 if isinstance(item.image, bytes) else min(1.0, item.image.get_figwidth() / WIDTH)
+        images.append((item, base64.b64encode(data).decode("ascii"), round(100.0 * share)))
     page = out / REPORT
     page.write_text(_template().render(content=content, images=images), encoding="utf-8")
     return page
