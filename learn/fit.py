@@ -61,6 +61,8 @@ def levenberg_marquardt(
     """
     free = target.num_parameters + target.num_starts
     window, noise = _window(target, horizon), _noise(target, theta)
+    # every other start feels the pull alone: the prior's curvature may lead all of them into one side minimum
+    bent = (torch.arange(len(theta), device=theta.device) % 2 == 0).double()[:, None, None]
     damping = torch.full_like(theta[:, 0], 1e-2)
     best, best_cost = theta.clone(), torch.full_like(damping, torch.inf)
     trial = theta.clone()
@@ -71,7 +73,7 @@ def levenberg_marquardt(
         cost = 0.5 * (residual**2).sum((-1, -2, -3)) - target.beside(trial)
         better = (cost < best_cost) & torch.isfinite(cost)
         rows = _white_rows(target, jacobian_rows(target, derivative) * window[..., None], noise)
-        normal = rows.transpose(1, 2) @ rows + prior_curvature(target, trial)[:, :free, :free]
+        normal = rows.transpose(1, 2) @ rows + bent * prior_curvature(target, trial)[:, :free, :free]
         pull = (rows.transpose(1, 2) @ residual.flatten(1)[..., None])[..., 0] + _prior_gradient(target, trial)[
             :, :free
         ]
