@@ -12,6 +12,9 @@ ones it is built with; the plain step (`articulated`) knows nothing of them.
 ``p`` holds up to six parameters, ``p.a`` to ``p.f``, in the order in which the effect lists them. A ball joint's angle
 is its rotation vector from rest and its rate the angular velocity, both in the link's frame; other joints use x alone.
 
+Worlds of a group whose parameters of a term are all neutral skip it (``active``), so that a kernel with every law in it
+costs a group little more than the laws it uses.
+
 Damping that a law reports is implicit in the step, so that a law as steep as dry friction at rest stays stable. A ball
 joint's stiffness beyond its own spring brings the least damper that an explicit spring needs there (half a step times
 the stiffness, since a segment has hardly any inertia about its own axis).
@@ -39,10 +42,13 @@ from .articulated import (
 from .layout import layout_of
 from .real import fma, real, where_neg
 
-__all__ = ["PARAMETERS", "Term", "effect_types", "step_of"]
+__all__ = ["GROUPS", "PARAMETERS", "Term", "effect_types", "step_of"]
 
 #: Parameters that a term may have.
 PARAMETERS = 6
+
+#: What follows the terms in ``active``: whether any term of a kind is on, any damage, and any load to rest under.
+GROUPS = ("joint", "link", "lasting", "resting")
 
 #: Least damper of a ball joint over its stiffness, in steps.
 LEAST_DAMPER = wp.constant(wp.float64(0.6))
@@ -128,6 +134,7 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         effort: wp.array2d(dtype=Vec)
         hold: wp.array2d(dtype=Vec)
         wind: wp.array2d(dtype=Vec)
+        active: wp.array2d(dtype=int)
         area: wp.array2d(dtype=Real)
         centre: wp.array2d(dtype=Vec)
         settle: wp.array(dtype=Real)
@@ -182,35 +189,42 @@ def _with_joint(before: Any, term: Term, types: SimpleNamespace, key: str) -> An
 
     def joint(e: int, i: int, fx: Any, j: Any, r: Any):
         sofar = before(e, i, fx, j, r)
-        k = slot * fx.stride + i
-        mine = r
-        if wp.static(remembers):
-            mine = type(r)(r.torque, fx.memory[e, k], r.stiffness, r.damping)
-        own = law(j, read(e, i, fx), mine)
-        if wp.static(remembers):
-            fx.memory[e, k] = own.memory
-        return type(r)(
-            sofar.torque + own.torque, sofar.memory, sofar.stiffness + own.stiffness, sofar.damping + own.damping
-        )
+        if fx.active[e, slot] == 1:
+            k = slot * fx.stride + i
+            mine = r
+            if wp.static(remembers):
+                mine = type(r)(r.torque, fx.memory[e, k], r.stiffness, r.damping)
+            own = law(j, read(e, i, fx), mine)
+            if wp.static(remembers):
+                fx.memory[e, k] = own.memory
+            sofar = type(r)(
+                sofar.torque + own.torque, sofar.memory, sofar.stiffness + own.stiffness, sofar.damping + own.damping
+            )
+        return sofar
 
     return _named(joint, term, f"joint{key}")
 
 
 def _with_link(before: Any, term: Term, types: SimpleNamespace, key: str) -> Any:
-    read, law = _reader(term, types, key), term.law
+    read, law, slot = _reader(term, types, key), term.law, term.slot
 
     def link(e: int, i: int, fx: Any, b: Any):
-        return before(e, i, fx, b) + law(b, read(e, i, fx))
+        total = before(e, i, fx, b)
+        if fx.active[e, slot] == 1:
+            total = total + law(b, read(e, i, fx))
+        return total
 
     return _named(link, term, f"link{key}")
 
 
 def _with_force(before: Any, term: Term, types: SimpleNamespace, key: str) -> Any:
-    read, law = _reader(term, types, key), term.law
+    read, law, slot = _reader(term, types, key), term.law, term.slot
 
     def force(e: int, i: int, fx: Any, g: Any):
-        sofar = type(g)(before(e, i, fx, g), g.contact, g.turn, g.first, g.gravity)
-        return law(sofar, read(e, i, fx))
+        acting = before(e, i, fx, g)
+        if fx.active[e, slot] == 1:
+            acting = law(type(g)(acting, g.contact, g.turn, g.first, g.gravity), read(e, i, fx))
+        return acting
 
     return _named(force, term, f"force{key}")
 
@@ -286,6 +300,7 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
     tips = [x.slot for x in terms if x.kind == "tip_mass"]
     has_tip, tip_slot = len(tips), tips[0] * PARAMETERS if tips else 0
     JointState, Response, LinkState = t.JointState, t.Response, t.LinkState
+    at_joints, at_links = (len(terms) + GROUPS.index(k) for k in ("joint", "link"))
 
     def act(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, still: int):
         """Evaluate the laws of joints and links at the present state; seek rest unless ``still`` is MOVING."""
@@ -300,20 +315,21 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
             stiffness = m.stiffness[e, i]
             damping = fx.damping[e, i]
             if wp.static(has_joint):
-                j = joint_state(e, i, kind, m, x, JointState(v, v, o, o, o), time, h)
-                r = joint(e, i, fx, j, Response(zero, zero, o, o))
-                total = total + r.torque
-                damping = effective_damping(kind, damping, stiffness, r.stiffness, r.damping, h)
+                if fx.active[e, at_joints] == 1:
+                    j = joint_state(e, i, kind, m, x, JointState(v, v, o, o, o), time, h)
+                    r = joint(e, i, fx, j, Response(zero, zero, o, o))
+                    total = total + r.torque
+                    damping = effective_damping(kind, damping, stiffness, r.stiffness, r.damping, h)
             if still != MOVING:
                 damping = stiffness * real(h * wp.float64(1.25), o)
             m.damping[e, i] = damping
             fx.effort[e, i] = total
             if wp.static(has_link):
-                arm = rotate(s.pose[row, i], fx.centre[e, i])
-                b = LinkState(centre_velocity(e, row, i, m, s, arm), fx.area[e, i], real(time, o))
-                fx.wind[e, i] = link(e, i, fx, b)
-                if still == CALM:
-                    fx.wind[e, i] = zero
+                fx.wind[e, i] = zero
+                if fx.active[e, at_links] == 1 and still != CALM:
+                    arm = rotate(s.pose[row, i], fx.centre[e, i])
+                    b = LinkState(centre_velocity(e, row, i, m, s, arm), fx.area[e, i], real(time, o))
+                    fx.wind[e, i] = link(e, i, fx, b)
 
     act = wp.func(act, name=f"act_{key}")
 

@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from .algebra import add, add_cross, add_scaled, cross, div, dot, mul, rotate, sub, unrotate
-from .effects import CALM, MOVING, PARAMETERS, STILL, Term, step_of
+from .effects import CALM, GROUPS, MOVING, PARAMETERS, STILL, Term, step_of
 from .observe import locate_links
 from .real import SOURCE, fma, fnma, real, where_neg
 
@@ -91,6 +91,8 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
     lasts = int(any(x.persistent for x in terms))
     lasting = tuple(x.slot for x in terms if x.memory and x.persistent)
     num_slots = len(terms)
+    has_lasting, has_resting = (num_slots + GROUPS.index(k) for k in ("lasting", "resting"))
+    delay_term = slots.get("time_delay", 0)
     marks = [int(slot in lasting) for slot in range(num_slots)]
     kept = wp.constant(wp.types.vector(num_slots, wp.int32)(*marks))
 
@@ -162,8 +164,9 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
         share = (wp.float64(step) + wp.float64(0.5)) / wp.float64(substeps)
         value = real(a + (input_in[j, after, c] - a) * (wp.float64(hold) * share), like)
         if wp.static(has_delay):
-            lag = fx.parameter[e, delay_slot * fx.stride] * real(rate, like)
-            value = value + shifted(input_in, j, k, n, c, share, lag)
+            if fx.active[e, delay_term] == 1:
+                lag = fx.parameter[e, delay_slot * fx.stride] * real(rate, like)
+                value = value + shifted(input_in, j, k, n, c, share, lag)
         return value
 
     drawn = wp.func(drawn, name=f"drawn_{key}")
@@ -182,7 +185,6 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
         begins: wp.array(dtype=wp.float64),
         offset: wp.array(dtype=int),
         input_in: wp.array3d(dtype=wp.float64),
-        settling: int,
         s_out: Scratch,
         first: int,
         row: int,
@@ -195,7 +197,7 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
     ):
         """Push links at their load points as recorded (force x, y, z and whether the gripper holds, 1 or 0).
 
-        ``settling`` 1 lets worlds come to rest under wind first; displacement is counted from the calm pose all the
+        Worlds that are blown come to rest under the wind first; displacement is counted from the calm pose all the
         same. ``grip`` [recordings, 8] holds the grasp point and the segment's direction in the link's frame, and how
         far the grip may slide down (negative) and up. With ``track`` 1 the joints' coordinates are written too. A
         recording is written at sample ``offset``, or not where that is negative.
@@ -224,11 +226,14 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                 if j == first_of[e]:
                     hold_tip(e, r, m, fx, s_out)
             if wp.static(lasts):  # find the calm pose after the damage so far
-                settle(e, r, m, x_in_out, u_out, fx, s_out, begins[j], bound, CALM)
+                if fx.active[e, has_lasting] == 1:
+                    settle(e, r, m, x_in_out, u_out, fx, s_out, begins[j], bound, CALM)
+                else:
+                    rest(e, m, x_in_out)
                 locate_links(e, r, m, x_in_out, s_out)
             start = s_out.accel[r, place] + rotate(s_out.pose[r, place], nominal)
             calm = s_out.pose[r, place]
-            if settling == 1:
+            if fx.active[e, has_resting] == 1:
                 settle(e, r, m, x_in_out, u_out, fx, s_out, begins[j], bound, STILL)
             for k in range(n):
                 locate_links(e, r, m, x_in_out, s_out)
@@ -258,11 +263,12 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                         acting = force_law(e, 0, fx, now)
                         u_out.force[e, place] = acting
                         if wp.static(has_slip):
-                            q = slip_slot * PARAMETERS * fx.stride
-                            pull = dot(acting, rotate(s_out.pose[r, place], along))
-                            far = slid(fx, e, slip_slot * fx.stride, pull, fx.parameter[e, q],
-                                       fx.parameter[e, q + fx.stride], grip[j, 6], grip[j, 7], real(h, o))  # fmt: skip
-                            u_out.point[e, place] = add_scaled(nominal, along, far)
+                            if fx.active[e, slip_slot] == 1:
+                                q = slip_slot * PARAMETERS * fx.stride
+                                pull = dot(acting, rotate(s_out.pose[r, place], along))
+                                far = slid(fx, e, slip_slot * fx.stride, pull, fx.parameter[e, q],
+                                           fx.parameter[e, q + fx.stride], grip[j, 6], grip[j, 7], real(h, o))  # fmt: skip
+                                u_out.point[e, place] = add_scaled(nominal, along, far)
                         since = wp.float64(k * substeps + step) * h
                         advance(e, r, m, x_in_out, u_out, fx, s_out, h, begins[j] + since, bound, MOVING)
 

@@ -145,6 +145,13 @@ class ActingSet:
                 out = torch.maximum(out, (value != entry.spec.neutral).to(out.dtype))
         return out
 
+    def switched_on(self, columns: torch.Tensor) -> torch.Tensor:
+        """Return whether some parameter of each effect is not neutral, [sets, names]."""
+        out = columns.new_zeros((len(columns), len(self.names)), dtype=torch.bool)
+        for entry, value in zip(self.entries, self.values(columns), strict=True):
+            out[:, entry.place // 6] |= value != entry.spec.neutral
+        return out
+
     def value(self, name: str, parameter: str, columns: torch.Tensor) -> torch.Tensor:
         """Return a parameter of an effect that acts once, [sets]."""
         row = 6 * self.names.index(name) + [p.name for p in self.laws[name].parameters].index(parameter)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..kernels.effects import PARAMETERS, effect_types
+from ..kernels.effects import GROUPS, PARAMETERS, effect_types
 from ..kernels.effects_rollout import effect_rollout_kernels
 from ..sim.arrays import LaneArray
 from ..sim.effects import terms_of
@@ -47,6 +47,7 @@ class EffectArrays:
         for name in ("memory", "effort", "hold", "wind", "centre", "damping", "area"):
             setattr(self.kernel, name, self.arrays[name].kernel)
         self.kernel.stride = stride
+        self.kernel.active = wp.zeros((m.groups, count + len(GROUPS)), dtype=int, device=m.device)
         neutral = torch.tensor(acting.neutral()).repeat_interleave(stride)
         self.arrays[FIELD].torch[..., 0] = neutral.to(self.arrays[FIELD].torch)
         self._tip(rollout)
@@ -87,8 +88,16 @@ class EffectArrays:
         """Take over the dampers that the plant has just been given and mark the worlds that rest under a load."""
         self.arrays["damping"].torch.copy_(rollout.simulator._damping.torch)
         acting = rollout.plant.acting
-        marks = acting.marks(values[:, values.shape[1] - len(acting.parameters) :])
+        columns = values[:, values.shape[1] - len(acting.parameters) :]
+        marks = acting.marks(columns)
         rollout.place_marks(self.arrays["settle"], marks)
+        on, laws = acting.switched_on(columns), list(acting.laws.values())
+        of_kind = ([x.kind == "joint" for x in laws], [x.kind == "link" for x in laws], [x.persistent for x in laws])
+        kinds = [(on & torch.tensor(k, device=on.device)).any(1, keepdim=True) for k in of_kind]
+        sets = torch.cat([on, *kinds, marks[:, None] != 0.0], 1)
+        groups = sets.view(rollout.blocks, rollout.model.width, -1).any(1)
+        active = wp.to_torch(self.kernel.active).view(-1, *groups.shape)
+        active.copy_(groups.expand_as(active))
 
 
 def prepare(rollout: Rollout) -> tuple[EffectArrays, Callable[[], None]]:
@@ -147,7 +156,6 @@ def _branch_arguments(rollout: Rollout) -> list[Any]:
         wp.array([r.t_start for r in sequence], dtype=wp.float64, device=device),
         wp.array(offset, dtype=int, device=device),
         wp.array(inputs, dtype=wp.float64, device=device),
-        int(plant.acting.settles),
     ]
 
 
