@@ -32,7 +32,7 @@ demo: $(VENV)/installed-test  ## grow a forest, simulate it, learn a branch's sp
 	$(BIN)/bough forest --species Ta --count 64 --order 2 --noise 0.1 --seed 0 --out $(DEMO)/forest
 	$(BIN)/bough simulate $(DEMO)/forest/tree_0000.xml --bend 0.2 --worlds 64 --seconds 2 --precision 32 \
 		--out $(DEMO)/motion
-	$(BIN)/python tests/oracles/branch_case.py $(DEMO)/case --seed 1 --segments 3 --noise 0.03
+	$(BIN)/bough hide --seed 1 --segments 3 --noise 0.03 --out $(DEMO)/case
 	$(BIN)/bough identify $(DEMO)/case --out $(DEMO)/identified
 	@echo
 	@echo "Look at $(DEMO)/forest/forest.png (the forest) and open $(DEMO)/identified/report.html (what was learnt)."

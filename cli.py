@@ -14,6 +14,8 @@ from typing import Annotated
 import tyro
 
 from . import __version__
+from .learn.command_diagnose import Diagnose, Exam
+from .learn.command_hide import Hide
 from .learn.command_identify import Identify
 from .learn.command_reproduce import Reproduce
 from .sim.command_forest import Forest
@@ -32,6 +34,9 @@ Command = (
     | Annotated[Forest, tyro.conf.subcommand("forest")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
     | Annotated[Identify, tyro.conf.subcommand("identify")]
+    | Annotated[Hide, tyro.conf.subcommand("hide")]
+    | Annotated[Diagnose, tyro.conf.subcommand("diagnose")]
+    | Annotated[Exam, tyro.conf.subcommand("exam")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
 )
 

@@ -13,7 +13,7 @@ import warp as wp
 from .algebra import add, add_cross, add_scaled, cross, div, dot, mul, rotate, sub, unrotate
 from .effects import CALM, GROUPS, MOVING, PARAMETERS, STILL, Term, step_of
 from .observe import locate_links
-from .real import SOURCE, fma, fnma, real, where_neg
+from .real import SOURCE, fma, fnma, real, sqrt_, where_neg
 
 __all__ = ["DELAY", "SETTLING", "effect_rollout_kernels"]
 
@@ -56,20 +56,18 @@ def shifted(input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, c: i
 
 
 @wp.func
-def slid(
-    fx: Any, e: int, k: int, force_along: Any, mobility: Any, least: Any, low: wp.float64, high: wp.float64, h: Any
-):
-    """Advance how far the grip has slid [m]: rate = mobility (|force| - least) along the segment, inside its ends."""
+def slid(fx: Any, e: int, k: int, force: Any, mobility: Any, least: Any, low: wp.float64, high: wp.float64, h: Any):
+    """Advance how far the grip has slid [m]: rate = mobility (|F| - least) towards the tip, inside the segment."""
     z = fx.memory[e, k]
     o = real(0.0, mobility)
-    size = where_neg(force_along, o - force_along, force_along)
+    size = sqrt_(fma(dot(force, force), real(1.0, o), real(1.0e-20, o)))
     excess = where_neg(size - least, o, size - least)
-    new = fma(where_neg(force_along, o - excess, excess) * mobility, h, z.x)
+    new = fma(excess * mobility, h, z.x)
     bottom = real(low, o)
     top = real(high, o)
     new = where_neg(new - bottom, bottom, new)
     new = where_neg(top - new, top, new)
-    fx.memory[e, k] = type(z)(new, z.y, z.z)
+    fx.memory[e, k] = type(z)(new, (new - z.x) / h, z.z)
     return new
 
 
@@ -238,8 +236,15 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
             for k in range(n):
                 locate_links(e, r, m, x_in_out, s_out)
                 arm = rotate(s_out.pose[r, place], nominal)
+                slip = zero
+                if wp.static(has_slip):
+                    if fx.active[e, slip_slot] == 1:
+                        z = fx.memory[e, slip_slot * fx.stride]
+                        axis = rotate(s_out.pose[r, place], along)
+                        arm = add_scaled(arm, axis, z.x)
+                        slip = axis * z.y
                 p = s_out.accel[r, place] + arm - start
-                v = add_cross(s_out.alpha[r, place], s_out.spin[r, place], arm)
+                v = add_cross(s_out.alpha[r, place], s_out.spin[r, place], arm) + slip
                 if at >= 0:
                     output_out[e, 6 * (at + k) + 0] = p.x
                     output_out[e, 6 * (at + k) + 1] = p.y
@@ -265,9 +270,12 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                         if wp.static(has_slip):
                             if fx.active[e, slip_slot] == 1:
                                 q = slip_slot * PARAMETERS * fx.stride
-                                pull = dot(acting, rotate(s_out.pose[r, place], along))
-                                far = slid(fx, e, slip_slot * fx.stride, pull, fx.parameter[e, q],
-                                           fx.parameter[e, q + fx.stride], grip[j, 6], grip[j, 7], real(h, o))  # fmt: skip
+                                mobility = fx.parameter[e, q]
+                                least = fx.parameter[e, q + fx.stride]
+                                far = slid(
+                                    fx, e, slip_slot * fx.stride, acting, mobility, least, grip[j, 6], grip[j, 7],
+                                    real(h, o),
+                                )  # fmt: skip
                                 u_out.point[e, place] = add_scaled(nominal, along, far)
                         since = wp.float64(k * substeps + step) * h
                         advance(e, r, m, x_in_out, u_out, fx, s_out, h, begins[j] + since, bound, MOVING)

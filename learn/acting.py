@@ -61,6 +61,8 @@ class ActingSet:
     """The effects that act in a plant.
 
     Attributes:
+        acting: The effects and where they act.
+        settings: What is known of every joint.
         names: Of the effects, each once: what the kernels are built with.
         form: ``branch`` or ``joint``.
         parameters: Unknowns, in the order of the columns that `write` takes.
@@ -68,7 +70,7 @@ class ActingSet:
     """
 
     def __init__(self, acting: Sequence[Acting], form: Form, settings: Sequence[Setting], source: str = "effects"):
-        self.form, self.acting = form, tuple(acting)
+        self.form, self.acting, self.settings = form, tuple(acting), tuple(settings)
         self.names = tuple(e.name for e in _ordered(self.acting, source))
         self.laws: dict[str, Law] = {name: effect_of(name).law(form) for name in self.names}
         labels = [a.label for a in self.acting]
@@ -195,9 +197,14 @@ def branch_settings(case: BranchCase) -> list[Setting]:
                 area=float((case.length * case.radius.sum(axis=1)).sum()), mass=float(case.mass.sum()),
                 length=float(case.length[case.grasp_segment]), gravity=case.gravity or 9.81, dt=case.dt,
                 start=case.trajectories[0].t_start, end=last.t_start + float(last.t[-1]), duration=float(last.t[-1]),
+                moments=_moments(case),
             )
         )  # fmt: skip
     return out
+
+
+def _moments(case: BranchCase) -> tuple[float, ...]:
+    return tuple(t.t_start + share * float(t.t[-1]) for t in case.trajectories for share in (0.1, 0.3, 0.6))
 
 
 def joint_settings(case: JointCase, carried: Sequence[float]) -> list[Setting]:

@@ -24,7 +24,7 @@ from .case_schema import (
     GraspMeta,
     JointMeta,
     JointTrajectoryMeta,
-    MetaFile,
+    YamlFile,
     read_meta,
 )
 
@@ -173,7 +173,7 @@ def _meta_path(folder: Path) -> Path:
     return folder / "meta.yaml"
 
 
-def _check_trajectories(meta: BranchMeta | JointMeta, file: MetaFile) -> None:
+def _check_trajectories(meta: BranchMeta | JointMeta, file: YamlFile) -> None:
     """Check what both forms share: files inside the folder and used once, replicates of earlier recordings."""
     used: list[tuple[str, Sequence[float]]] = []
     items: Sequence[BranchTrajectoryMeta | JointTrajectoryMeta] = meta.trajectories
@@ -194,7 +194,7 @@ def _check_trajectories(meta: BranchMeta | JointMeta, file: MetaFile) -> None:
             raise file.error(["trajectories", i, "replicate_of"], found, allowed)
 
 
-def _load_branch(folder: Path, meta: BranchMeta, file: MetaFile) -> BranchCase:
+def _load_branch(folder: Path, meta: BranchMeta, file: YamlFile) -> BranchCase:
     warnings = _check_segments(meta, file)
     names = [s.name for s in meta.segments]
     segments = meta.segments
@@ -221,7 +221,7 @@ def _load_branch(folder: Path, meta: BranchMeta, file: MetaFile) -> BranchCase:
     )
 
 
-def _check_segments(meta: BranchMeta, file: MetaFile) -> list[str]:
+def _check_segments(meta: BranchMeta, file: YamlFile) -> list[str]:
     """Check geometry, grasp point and order in time; return warnings."""
     warnings = []
     names = [s.name for s in meta.segments]
@@ -252,7 +252,7 @@ def _check_segments(meta: BranchMeta, file: MetaFile) -> list[str]:
     return warnings
 
 
-def _check_grasp(meta: BranchMeta, file: MetaFile, here: list[str | int], grasp: GraspMeta) -> None:
+def _check_grasp(meta: BranchMeta, file: YamlFile, here: list[str | int], grasp: GraspMeta) -> None:
     lengths = {s.name: s.length_m for s in meta.segments}
     if grasp.segment not in lengths:
         raise file.error([*here, "segment"], repr(grasp.segment), f"one of {', '.join(lengths)}")
@@ -262,7 +262,7 @@ def _check_grasp(meta: BranchMeta, file: MetaFile, here: list[str | int], grasp:
         raise file.error([*here, "distance_from_lower_end_m"], found, allowed)
 
 
-def _branch_trajectory(folder: Path, meta: BranchMeta, file: MetaFile, index: int) -> BranchTrajectory:
+def _branch_trajectory(folder: Path, meta: BranchMeta, file: YamlFile, index: int) -> BranchTrajectory:
     item = meta.trajectories[index]
     grasp = item.grasp or meta.grasp
     columns = read_columns(folder / item.file, BRANCH_COLUMNS, exact=True)
@@ -300,7 +300,7 @@ def _check_size(columns: Columns, which: slice, limit: float, allowed: str) -> N
         raise InputError(columns.path, columns.place(int(row), name), f"{value:g}", allowed)
 
 
-def _no_contact(t: Array, intervals: list[list[float]], file: MetaFile, index: int) -> NDArray[np.bool_]:
+def _no_contact(t: Array, intervals: list[list[float]], file: YamlFile, index: int) -> NDArray[np.bool_]:
     """Mark the samples inside the intervals [s], both ends included, shape [T].
 
     An interval from a time after the last sample to the end of the recording is empty: contact lasted to the end.
@@ -321,7 +321,7 @@ def _no_contact(t: Array, intervals: list[list[float]], file: MetaFile, index: i
     return mask
 
 
-def _load_joints(folder: Path, meta: JointMeta, file: MetaFile) -> JointCase:
+def _load_joints(folder: Path, meta: JointMeta, file: YamlFile) -> JointCase:
     check_joint_meta(meta, file, folder)
     loaded = [_joint_trajectory(folder, meta, item) for item in meta.trajectories]
     dt = max(loaded, key=lambda pair: len(pair[0].t))[1]

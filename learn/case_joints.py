@@ -8,7 +8,7 @@ from typing import Literal
 
 from ..sim.mjcf_bodies import Body, read_bodies
 from ..sim.mjcf_document import read_document
-from .case_schema import InputMeta, JointMeta, JointSpecMeta, MetaFile, OutputMeta, nearest
+from .case_schema import InputMeta, JointMeta, JointSpecMeta, YamlFile, OutputMeta, nearest
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ UNKNOWN = ("damping", "stiffness", "armature", "preload", "mass", "com", "inerti
 FILTER_SAMPLES = 20.0
 
 
-def joint_setup(meta: JointMeta, file: MetaFile, folder: Path, dt: float) -> JointSetup:
+def joint_setup(meta: JointMeta, file: YamlFile, folder: Path, dt: float) -> JointSetup:
     """Turn a checked ``meta.yaml`` into the mechanism, its inputs and outputs; ``dt`` is the sampling step [s].
 
     Raises:
@@ -153,7 +153,7 @@ def joint_setup(meta: JointMeta, file: MetaFile, folder: Path, dt: float) -> Joi
     )
 
 
-def _fits_torque(meta: JointMeta, file: MetaFile, joints: list[str]) -> bool:
+def _fits_torque(meta: JointMeta, file: YamlFile, joints: list[str]) -> bool:
     """Return whether efforts are fitted: as ``fit`` says, else for an MJCF file with everything measured."""
     located = [o.joint for o in meta.outputs if o.quantity == "position"]
     driven = [i.joint for i in meta.input or ()]
@@ -198,7 +198,7 @@ def _joint(link: int, spec: JointSpecMeta) -> JointSpec:
     return JointSpec(spec.name, spec.type, link, spec.inertia, spec.stiffness, spec.damping, torque)
 
 
-def check_joint_meta(meta: JointMeta, file: MetaFile, folder: Path) -> None:
+def check_joint_meta(meta: JointMeta, file: YamlFile, folder: Path) -> None:
     """Check names, scales, rows and the split of a joint case.
 
     Raises:
@@ -228,7 +228,7 @@ def check_joint_meta(meta: JointMeta, file: MetaFile, folder: Path) -> None:
     _check_split(meta, file)
 
 
-def _check_unknown(meta: JointMeta, file: MetaFile, joints: list[str]) -> None:
+def _check_unknown(meta: JointMeta, file: YamlFile, joints: list[str]) -> None:
     for i, text in enumerate(meta.mechanism.unknown or ()):
         quantity, _, joint = text.partition(" ")
         here: list[str | int] = ["mechanism", "unknown", i]
@@ -238,7 +238,7 @@ def _check_unknown(meta: JointMeta, file: MetaFile, joints: list[str]) -> None:
             raise file.error(here, repr(text), f"{quantity} alone, or with a joint: {nearest(joint, joints)}")
 
 
-def _check_mechanism(meta: JointMeta, file: MetaFile) -> None:
+def _check_mechanism(meta: JointMeta, file: YamlFile) -> None:
     driven = [item.joint for item in meta.input or ()]
     names = [joint.name for joint in meta.mechanism.joints or ()]
     for i, joint in enumerate(meta.mechanism.joints or ()):
@@ -252,7 +252,7 @@ def _check_mechanism(meta: JointMeta, file: MetaFile) -> None:
             raise file.error([*here, "inertia"], "null on a joint that nothing drives", allowed)
 
 
-def _check_split(meta: JointMeta, file: MetaFile) -> None:
+def _check_split(meta: JointMeta, file: YamlFile) -> None:
     split, count = meta.split, len(meta.trajectories)
     if split is None:
         return

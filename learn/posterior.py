@@ -187,6 +187,18 @@ def infer(
         raise InputError("identify", "--particles", found, f"{allowed}, noise and start states counted")
     keep = checkpoint or Checkpoint()
     modes = _modes(target, seed, starts, force_sigma, keep, name, progress)
+    return sample(
+        target, modes, method=method, particles=particles, iterations=iterations, seed=seed, checkpoint=keep, name=name,
+        progress=progress,
+    )  # fmt: skip
+
+
+def sample(
+    target: Target, modes: Modes, *, method: str = "svgd", particles: int, iterations: int, seed: int,
+    checkpoint: Checkpoint | None = None, name: str = "posterior", progress: Progress = lambda stage, done: None,
+) -> Posterior:  # fmt: skip
+    """Sample a target's posterior about its modes; arguments as of `infer`."""
+    keep = checkpoint or Checkpoint()
     best = int(modes.log_posterior.argmax())
     density = Whitened(target, modes.theta[best], modes.precision[best])
     generator = torch.Generator().manual_seed(seed + 1)

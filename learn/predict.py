@@ -177,12 +177,13 @@ def _with_starts(
     theta = torch.cat(rows, 1)
     if not target.num_starts:
         return theta
-    cut = [_first(r, START_WINDOW) for r in recordings]
+    cut = [first_moments(r, START_WINDOW) for r in recordings]
     window = Target(case, cut, sigma, unknowns=unknowns, device=device)
     return levenberg_marquardt(window, theta, iterations=12, frozen=target.num_parameters)
 
 
-def _first(recording: Recording, seconds: float) -> Recording:
+def first_moments(recording: Recording, seconds: float) -> Recording:
+    """Return the first seconds of a recording."""
     n = max(4, int(np.searchsorted(recording.t, recording.t[0] + seconds)))
     return replace(
         recording, t=recording.t[:n], input=recording.input[:n], output=recording.output[:n],

@@ -30,7 +30,7 @@ EFFECT = register(
             "joint",
             (
                 EffectParameter("relative", "1", -0.9, 3.0),
-                EffectParameter("axis_rad", "rad", 0.0, 3.141592653589793, 1.5707963267948966),
+                EffectParameter("axis_rad", "rad", 0.0, 3.141592653589793, 1.5707963267948966, tries=4),
             ),
             anisotropic_stiffness,
         ),

@@ -20,7 +20,7 @@ EFFECT = register(
                     lambda s: 3.0 / s.stiffness,
                     scale="log",
                 ),
-                EffectParameter("relaxation_s", "s", 1.5e-3, 1.0, 0.02, "log", 0.02),
+                EffectParameter("relaxation_s", "s", 1.5e-3, 1.0, 0.02, "log", 0.02, tries=1),
             ),
             per_joint=False,
         ),

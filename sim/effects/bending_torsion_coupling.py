@@ -33,7 +33,7 @@ EFFECT = register(
             "joint",
             (
                 EffectParameter("coupling", "1", -0.9, 0.9),
-                EffectParameter("axis_rad", "rad", 0.0, 3.141592653589793, 1.5707963267948966),
+                EffectParameter("axis_rad", "rad", 0.0, 3.141592653589793, 1.5707963267948966, tries=6),
             ),
             bending_torsion_coupling,
         ),

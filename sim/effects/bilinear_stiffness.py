@@ -48,7 +48,7 @@ EFFECT = register(
         probe="the same push and release in opposite directions, in two planes",
         branch=Law(
             "joint",
-            (_REL, EffectParameter("axis_rad", "rad", 0.0, 3.141592653589793, 1.5707963267948966)),
+            (_REL, EffectParameter("axis_rad", "rad", 0.0, 3.141592653589793, 1.5707963267948966, tries=6)),
             bilinear_stiffness,
         ),
         joint=Law("joint", (_REL,), bilinear_joint),

@@ -20,7 +20,7 @@ def cubic_stiffness(j: Any, p: Any, r: Any):
 
 _LAW = Law(
     "joint",
-    (EffectParameter("cubic_radm2", "1/rad^2", lambda s: -0.3 / s.angle**2, lambda s: 3.0 / s.angle**2),),
+    (EffectParameter("cubic_radm2", "1/rad^2", lambda s: -1.0 / s.angle**2, lambda s: 20.0 / s.angle**2),),
     cubic_stiffness,
 )
 

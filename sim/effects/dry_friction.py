@@ -5,31 +5,46 @@ from typing import Any
 import warp as wp
 
 from ...kernels.algebra import add, div, dot, mul, sub
-from ...kernels.real import fma, real, sqrt_
+from ...kernels.real import fma, real, sqrt_, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
-#: Speed [rad/s or m/s] over which the friction changes sign; below it the joint creeps instead of sticking.
-CREEP = wp.constant(wp.float64(0.01))
+#: Angle (or way) over which asperities bend before they slip [rad or m].
+BEND = wp.constant(wp.float64(5.0e-4))
 
 
 @wp.func
 def dry_friction(j: Any, p: Any, r: Any):
-    """tau = -T w / sqrt(|w|^2 + c^2), all of it implicit: a damper of T / sqrt(|w|^2 + c^2)."""
-    c = real(CREEP, p.a)
-    return type(r)(r.torque, r.memory, real(0.0, p.a), p.a / sqrt_(fma(c, c, dot(j.rate, j.rate))))
+    """tau = -T z / y, dz/dt = w where |z| < y, else z slides along at |z| = y: Coulomb's law that sticks.
+
+    Implicit in the rate: within the step the bend z grows to s = z + h w, and tau = -T s / max(y, |s|) with the size of
+    s at the present rate, a damper of T h / max(y, |s|). It gives all of T at a steady rate, and as the rate vanishes.
+    """
+    o = real(0.0, p.a)
+    one = real(1.0, o)
+    y = real(BEND, o)
+    turn = j.rate * j.step
+    z = r.memory + turn
+    far = sqrt_(fma(dot(z, z), one, real(1.0e-20, o)))
+    share = y / far
+    z = z * where_neg(y - far, share, one)
+    s = z + turn
+    far = sqrt_(fma(dot(s, s), one, real(1.0e-20, o)))
+    k = p.a / where_neg(far - y, y, far)
+    return type(r)(z * (o - k), z, o, k * j.step)
 
 
 _LAW = Law(
     "joint",
     (EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log"),),
     dry_friction,
+    memory=True,
 )
 
 EFFECT = register(
     Effect(
         name="dry_friction",
-        summary="a torque of constant size T against the rate; below 0.01 rad/s it falls to zero in proportion",
-        source="Coulomb 1785; smoothed as in Makris & Constantinou 1991, EERC 91/18",
+        summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends 0.5 mrad first)",
+        source="Coulomb 1785; elastic before it slips as in Dahl 1968, Aerospace TOR-158",
         signature="oscillations decay in a straight line and stop off centre; loops keep their width however slow",
         mistaken_for=("hysteresis_boucwen", "plastic_set", "quadratic_drag"),
         probe="releases from a large and a small deflection; a slow triangle of force both ways",

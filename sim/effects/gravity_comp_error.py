@@ -30,7 +30,7 @@ EFFECT = register(
                 EffectParameter(
                     "mass_kg", "kg", lambda s: -0.3 * s.force / s.gravity, lambda s: 0.3 * s.force / s.gravity
                 ),
-                EffectParameter("tared", "1", 0.0, 1.0, 1.0),
+                EffectParameter("tared", "1", 0.0, 1.0, 1.0, tries=2),
             ),
             gravity_comp_error,
             per_joint=False,

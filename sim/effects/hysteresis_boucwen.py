@@ -27,7 +27,7 @@ def hysteresis_boucwen(j: Any, p: Any, r: Any):
 _LAW = Law(
     "joint",
     (
-        EffectParameter("share", "1", 0.02, 3.0, scale="log", typical=0.3),
+        EffectParameter("share", "1", 0.02, 3.0, scale="log", typical=0.3, tries=1),
         EffectParameter("yield_rad", "rad", lambda s: 0.02 * s.angle, lambda s: s.angle, scale="log"),
     ),
     hysteresis_boucwen,

@@ -34,8 +34,8 @@ EFFECT = register(
         branch=Law(
             "joint",
             (
-                EffectParameter("share", "1", 0.02, 0.95, scale="log", typical=0.3),
-                EffectParameter("moment_s", "s", lambda s: s.start, lambda s: s.end),
+                EffectParameter("share", "1", 0.02, 0.95, scale="log", typical=0.3, tries=1),
+                EffectParameter("moment_s", "s", lambda s: s.start, lambda s: s.end, tries=lambda s: s.moments),
             ),
             partial_rupture,
         ),

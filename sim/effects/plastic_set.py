@@ -26,7 +26,7 @@ def plastic_set(j: Any, p: Any, r: Any):
 
 
 _PARAMETERS = (
-    EffectParameter("share", "1", 0.02, 0.95, scale="log", typical=0.3),
+    EffectParameter("share", "1", 0.02, 0.95, scale="log", typical=0.3, tries=1),
     EffectParameter("yield_rad", "rad", lambda s: 0.05 * s.angle, lambda s: s.angle, scale="log"),
 )
 

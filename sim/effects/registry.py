@@ -8,7 +8,7 @@ adds one; a file that defines a law and registers it is all that a new effect ne
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -36,6 +36,7 @@ class Setting:
         dt: Sampling step [s].
         start, end: First and last moment of the recordings on the absolute clock [s].
         duration: Length of the longest recording [s].
+        moments: Three moments inside every recording, on the absolute clock [s].
     """
 
     torque: float = 1.0
@@ -51,6 +52,7 @@ class Setting:
     start: float = 0.0
     end: float = 1.0
     duration: float = 1.0
+    moments: tuple[float, ...] = (0.5,)
 
     @property
     def stiffness(self) -> float:
@@ -72,6 +74,8 @@ class EffectParameter:
         neutral: Value at which the effect, or this part of it, is off.
         scale: ``log`` (positive) or ``linear``.
         typical: Where a search may begin; None takes the middle of the box on its scale.
+        tries: How many values a search for unknown effects looks at, or the values themselves. None: it moves a
+            parameter about its neutral value where the box allows, and looks at three values of any other.
     """
 
     name: str
@@ -81,6 +85,7 @@ class EffectParameter:
     neutral: float = 0.0
     scale: Literal["log", "linear"] = "linear"
     typical: Bound | None = None
+    tries: int | Callable[[Setting], Sequence[float]] | None = None
 
 
 @dataclass(frozen=True)

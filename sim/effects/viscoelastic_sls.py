@@ -26,7 +26,7 @@ def viscoelastic_sls(j: Any, p: Any, r: Any):
 _LAW = Law(
     "joint",
     (
-        EffectParameter("share", "1", 0.02, 3.0, scale="log", typical=0.3),
+        EffectParameter("share", "1", 0.02, 3.0, scale="log", typical=0.3, tries=1),
         EffectParameter("relaxation_s", "s", lambda s: 2.0 * s.dt, lambda s: s.duration, scale="log"),
     ),
     viscoelastic_sls,

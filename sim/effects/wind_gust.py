@@ -27,7 +27,7 @@ def wind_gust(b: Any, p: Any):
 
 
 def _pressure(name: str) -> EffectParameter:
-    return EffectParameter(name, "Pa", lambda s: -0.3 * s.force / s.area, lambda s: 0.3 * s.force / s.area)
+    return EffectParameter(name, "Pa", lambda s: -s.force / s.area, lambda s: s.force / s.area)
 
 
 EFFECT = register(

@@ -10,6 +10,10 @@ from bough.learn.acting import Acting
 from bough.learn.case import load_case
 from bough.learn.equation_error import EquationError, torque_recordings
 from bough.learn.fit import find_modes
+from bough.learn.hidden.branch import Branch
+from bough.learn.hidden.drive import drive
+from bough.learn.hidden.parts import Part
+from bough.learn.hidden.world_laws import Slip
 from bough.learn.plant import free_of
 from bough.learn.plant_branch import Unknowns
 from bough.learn.rollout import Rollout, recordings
@@ -99,6 +103,21 @@ def test_base_compliance_equals_a_chain_of_two(tmp_path):
     assert np.abs(ours - plain).max() > 0.1 * np.abs(plain).max()
 
 
+@pytest.mark.parametrize("mobility", [0.012, -0.05])
+def test_grasp_slip_is_the_hidden_simulators(tmp_path, mobility):
+    """Change displacement and velocity of the point that is held as MuJoCo does with a grip that slides."""
+    case, force, least = stick_case(tmp_path / "c", [push(1.5)]), push(1.5), 1.0
+    rod = Branch([0.5], [0.012], [0.010], [35.0], [20.0], [KS], [DS], 800.0, 0.4, 9.81, ["stick"])
+    law = Part({}, law=lambda: Slip(mobility, least, 1e-6, (0.4, 0.1)))
+    wanted, held = (drive(rod, force[None], 1 / DT, parts=parts, wood=0.0, dt=5e-4) for parts in ([law], []))
+    slips = {"mobility_mpNs": mobility, "least_N": least}
+    ours, plain = (simulate(case, KS, DS, form="branch", without=("base_compliance",), **on)[0]
+                   for on in ({"grasp_slip": slips}, {}))  # fmt: skip
+    close((ours - plain)[:, :3], (wanted.moved - held.moved)[0])
+    close((ours - plain)[:, 3:], (wanted.velocity - held.velocity)[0])
+    np.testing.assert_allclose(ours[-1, :3], wanted.moved[0, -1], atol=1e-5)  # at rest: the slide alone
+
+
 # ---- recovery ------------------------------------------------------------------------------------------------------
 
 BRANCH_TRUTH = {
@@ -112,7 +131,7 @@ BRANCH_TRUTH = {
     "backlash": (0.03,),
     "plastic_set": (0.4, 0.1),
     "partial_rupture": (0.4, 20.9),
-    "grasp_slip": (0.05, 0.5),
+    "grasp_slip": (-0.05, 0.5),
     "force_bias": (0.2, -0.3, 0.25),
     "force_scale": (1.3,),
     "time_delay": (0.03,),
@@ -200,7 +219,7 @@ def test_faulty_effects_are_one_line(stick, tmp_path):
 
 
 def test_torque_fit_takes_effects(tmp_path):
-    """Need T v / sqrt(v^2 + c^2) more at one joint and c v |v| more at the other; refuse what is not at a joint."""
+    """Need T more at one joint, less as it turns back, and c v |v| at the other; refuse what is not at a joint."""
     case = load_case(write_arm(tmp_path / "arm", unknown=["damping"], seeds=(0,)))
     chosen = torque_recordings(case)
     acting = (Acting("dry_friction", 1), Acting("quadratic_drag", 0))
@@ -213,7 +232,15 @@ def test_torque_fit_takes_effects(tmp_path):
     extra = rollout(values)[0, 0].double().numpy() - plain
     rate = chosen[0].input[:, [1, 4]]
     np.testing.assert_allclose(extra[:, 0], 0.3 * rate[:, 0] * np.abs(rate[:, 0]), atol=2e-5)
-    np.testing.assert_allclose(extra[:, 1], 0.7 * rate[:, 1] / np.hypot(rate[:, 1], 0.01), atol=2e-5)
+    bent, friction = 0.0, []
+    turns = rate[:, 1] * float(chosen[0].t[1] - chosen[0].t[0])
+    for turn in turns:
+        bent = np.clip(bent + turn, -5e-4, 5e-4)  # [rad]: it bends before it slips
+        friction.append(0.7 * np.clip(bent + turn, -5e-4, 5e-4) / 5e-4)  # at the end of the step
+    np.testing.assert_allclose(extra[:, 1], friction, atol=2e-5)
+    fast = np.abs(turns) > 5e-4  # even where it turns back it slips by the end of the next sample
+    np.testing.assert_allclose(extra[fast, 1], 0.7 * np.sign(turns[fast]), atol=2e-5)
+    assert fast.mean() > 0.5
     assert np.abs(extra).max(axis=0).min() > 0.1
     with pytest.raises(InputError, match="force_scale in a torque fit"):
         EquationError(case, chosen, 1, unknowns=Unknowns(effects=(Acting("force_scale", 0),)))

@@ -85,12 +85,12 @@ def simulate(case, stiffness, damping, *, start=None, chosen=None, form="joint",
     return rollout(torch.tensor([values], dtype=torch.float64), first)[0].double().numpy().copy()
 
 
-def resting(branch, spring, force, *, point=0.4, more=None):
-    """Return the grasp point's displacement [3] where a stick rests, by a root of the moments about its base.
+def resting(branch, spring, force, *, point=0.4, seen=0.4, more=None):
+    """Return the displacement [3] from the grasp point where a stick rests, by a root of the moments about its base.
 
     ``spring(phi)`` is the torque of the joint in the stick's frame, ``force(R)`` what acts at ``point`` [m] along it
-    (world axes, R from rest to now), ``more(R)`` a further moment about the base (world axes). Weight counts, and the
-    pre-load holds the rest pose.
+    (world axes, R from rest to now), ``more(R)`` a further moment about the base (world axes); ``seen`` [m] is the
+    point whose displacement is wanted. Weight counts, and the pre-load holds the rest pose.
     """
     axis, across = branch.axis[0], np.array([-np.sin(branch.azimuth[0]), np.cos(branch.azimuth[0]), 0.0])
     rest = Rotation.from_matrix(np.column_stack([np.cross(across, axis), across, axis]))
@@ -107,4 +107,4 @@ def resting(branch, spring, force, *, point=0.4, more=None):
 
     phi = root(moment, np.zeros(3), tol=1e-13).x
     assert np.abs(moment(phi)).max() < 1e-9
-    return (rest * Rotation.from_rotvec(phi) * rest.inv()).apply(axis * 0.4) - axis * 0.4
+    return (rest * Rotation.from_rotvec(phi) * rest.inv()).apply(axis * seen) - axis * 0.4

@@ -1,0 +1,127 @@
+"""Candidates for what a model lacks: which effects may act where, and the values from which a search sets out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+
+from ...sim.effects import Effect, EffectParameter, Setting, effect_of, effects
+from ...sim.errors import InputError
+from ..acting import Acting
+from ..case import BranchCase, JointCase
+from ..equation_error import fits_torque
+from ..plant import Parameter
+
+#: Largest factor by which a difference that was simulated at one strength is extrapolated to another.
+FURTHEST = 4.0
+#: Values of a parameter that are looked at where the registry does not say.
+TRIES = 3
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect at one place of a superset of effects.
+
+    Attributes:
+        acting: Which effect and where.
+        columns: Columns of its parameters among all parameters of the superset.
+        specs: Their rows in the registry.
+    """
+
+    acting: Acting
+    columns: tuple[int, ...]
+    specs: tuple[EffectParameter, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.acting.name
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A point of a candidate's parameters from which its response is looked at.
+
+    Attributes:
+        candidate: Index of the candidate.
+        values: Values in SI units, one a parameter.
+        moved: Entries that are moved one by one, so that the response is linear in them about ``values``; empty where
+            the effect at ``values`` is itself the response.
+    """
+
+    candidate: int
+    values: tuple[float, ...]
+    moved: tuple[int, ...] = ()
+
+
+def names_for(case: BranchCase | JointCase, wanted: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the names of effects that a case can be tried with, all of them or those that are wanted.
+
+    Raises:
+        InputError: A wanted name is unknown or cannot act in such a case.
+    """
+    for name in wanted:
+        if not _possible(effect_of(name, "--effects"), case):
+            allowed = ", ".join(e.name for e in effects() if _possible(e, case))
+            raise InputError("--effects", name, "an effect that this case cannot show", allowed)
+    return tuple(e.name for e in effects() if _possible(e, case) and (not wanted or e.name in wanted))
+
+
+def _possible(effect: Effect, case: BranchCase | JointCase) -> bool:
+    if isinstance(case, BranchCase):
+        law = effect.branch
+        movable = case.trunk_pivot_below_base is not None
+        return law is not None and (law.kind != "base_compliance" or movable)
+    law = effect.joint
+    if law is None or (fits_torque(case) and law.kind != "joint"):
+        return False
+    return law.kind == "joint" or bool(case.inputs)
+
+
+def everywhere(case: BranchCase | JointCase, names: Iterable[str]) -> tuple[Acting, ...]:
+    """Return every effect at every place where it can act."""
+    form: Literal["branch", "joint"] = "branch" if isinstance(case, BranchCase) else "joint"
+    count = case.num_segments if isinstance(case, BranchCase) else len(case.joints)
+    out: list[Acting] = []
+    for name in names:
+        law = effect_of(name).law(form)
+        out += [Acting(name, j) for j in range(count)] if law.per_joint else [Acting(name)]
+    return tuple(out)
+
+
+def probes_of(index: int, candidate: Candidate, parameters: Sequence[Parameter], setting: Setting) -> list[Probe]:
+    """Return the points at which a candidate is looked at.
+
+    An effect whose first parameter passes through its neutral value is moved about it, in all parameters that do;
+    otherwise the effect itself is looked at. Of the other parameters a grid is taken. None for an effect with a
+    frequency: `frequencies` finds it.
+    """
+    if any(s.unit == "Hz" for s in candidate.specs):
+        return []
+    through = [passes_neutral(s, p) for s, p in zip(candidate.specs, parameters, strict=True)]
+    moved = tuple(k for k, on in enumerate(through) if on and through[0])
+    grids = [
+        [s.neutral] if on else grid(s, p, setting)
+        for s, p, on in zip(candidate.specs, parameters, through, strict=True)
+    ]
+    return [Probe(index, values, moved) for values in product(*grids)]
+
+
+def passes_neutral(spec: EffectParameter, parameter: Parameter) -> bool:
+    """Return whether a search moves a parameter a little above and a little below its neutral value."""
+    return spec.tries is None and parameter.low < spec.neutral < parameter.high
+
+
+def grid(spec: EffectParameter, parameter: Parameter, setting: Setting) -> list[float]:
+    """Return the values that the registry names, or ``tries`` inside a parameter's box, evenly on its scale."""
+    if callable(spec.tries):
+        return [float(x) for x in spec.tries(setting)]
+    count = spec.tries or TRIES
+    ends = parameter.free(parameter.low), parameter.free(parameter.high)
+    share = (np.arange(count) + 0.5) / count
+    free = ends[0] + share * (ends[1] - ends[0])
+    return [float(np.exp(x) if parameter.scale == "log" else x) for x in free]

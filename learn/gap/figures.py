@@ -1,0 +1,234 @@
+"""Figures of a diagnosis: the measurement is dark, the base model vermilion, the repaired one blue, noise green."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.figure import Figure
+
+from ...sim.tree import Array
+from ..figures import ALARM, FAINT, MEASURED, MODEL, NOISE, WIDTH, styled
+from .decide import TIED
+from .diagnosis import Share
+from .where import CONTRAST
+
+#: Longest name on an axis; dots drawn of one curve.
+LONGEST, MOST_DOTS = 30, 2000
+BASE, BEST = "spring and damper", "repaired"
+_HEAT = LinearSegmentedColormap.from_list("misfit", ["#FFFFFF", "#FBE3D2", ALARM, "#4A1D00"])
+
+
+def short(name: str, longest: int = LONGEST) -> str:
+    """Return a name of at most so many letters, its middle left out."""
+    if len(name) <= longest:
+        return name
+    head = (longest - 1) // 2
+    return f"{name[:head]}…{name[len(name) - (longest - 1 - head) :]}"
+
+
+@styled
+def heat_figure(base: Array, best: Array, edges: Array, *, titles: Sequence[str]) -> Figure:
+    """Draw misfit over noise by recording and time window, base and repaired model on one scale.
+
+    Args:
+        base: Of the base model, NaN past a recording's end, shape [R, W].
+        best: Of the repaired model, shape [R, W].
+        edges: Of the windows [s], shape [W + 1].
+        titles: Name of each recording, length R.
+    """
+    count = len(base)
+    figure = Figure(figsize=(WIDTH, 1.5 + 0.3 * max(count, 3)), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    top = max(4.0, float(np.nanmax(np.concatenate([base, best]))))
+    for ax, values, name in zip(axes, (base, best), (BASE, BEST), strict=True):
+        ax.set_facecolor("#EEEEEE")
+        drawn = ax.pcolormesh(edges, np.arange(count + 1) - 0.5, np.ma.masked_invalid(np.maximum(values, 1.0)),
+                              cmap=_HEAT, norm=LogNorm(1.0, top), edgecolors="white", linewidth=0.5)  # fmt: skip
+        ax.set_title(name)
+        ax.set_xlabel("time in the recording [s]")
+        ax.grid(visible=False)
+    axes[0].set_yticks(range(count), [short(t) for t in titles])
+    axes[0].invert_yaxis()
+    bar = figure.colorbar(drawn, ax=axes, label="misfit / noise", fraction=0.05)
+    ticks = [x for x in (1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000) if x <= top]
+    bar.set_ticks(ticks, labels=[str(x) for x in ticks])
+    bar.ax.minorticks_off()
+    return figure
+
+
+@styled
+def before_after_figure(
+    t: Sequence[Array], measured: Sequence[Array], base: Sequence[Array], best: Sequence[Array], *,
+    titles: Sequence[str], labels: Sequence[str],
+) -> Figure:  # fmt: skip
+    """Draw measured channels against both models, a row per recording and a column per channel.
+
+    Args:
+        t: Times of each of N recordings [s], shapes [T].
+        measured: What was measured, shapes [T, C].
+        base: Simulated by the base model, shapes [T, C].
+        best: Simulated by the repaired model, shapes [T, C].
+        titles: Name of each recording, length N.
+        labels: Name and unit of each channel, length C.
+    """
+    figure = Figure(figsize=(WIDTH, 0.9 + 2.3 * len(t)), layout="constrained")
+    axes = figure.subplots(len(t), len(labels), squeeze=False, sharex="row", sharey="row")
+    for i, row in enumerate(axes):
+        for c, ax in enumerate(row):
+            few = len(t[i]) <= 400
+            ax.plot(t[i], measured[i][:, c], "." if few else "-", color=MEASURED, markersize=3, linewidth=0.8,
+                    label="measured")  # fmt: skip
+            _both(ax, t[i], t[i], base[i][:, c], best[i][:, c])
+            if i == 0:
+                ax.set_title(labels[c])
+            if i == len(t) - 1:
+                ax.set_xlabel("time [s]")
+        row[0].set_ylabel(short(titles[i], 24))
+    return _keyed(figure, axes[0, 0])
+
+
+def _both(ax: Axes, x_base: Array, x_best: Array, base: Array, best: Array) -> None:
+    ax.plot(x_base, base, color=ALARM, linestyle="--", linewidth=1.2, label=BASE)
+    ax.plot(x_best, best, color=MODEL, linewidth=1.2, label=BEST)
+
+
+def _keyed(figure: Figure, ax: Axes) -> Figure:
+    """Put the key of a panel above the figure."""
+    handles, names = ax.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=len(names), markerscale=2)
+    return figure
+
+
+@styled
+def loops_figure(
+    force: Sequence[Array], measured: Sequence[Array], base: Sequence[Array], best: Sequence[Array], *,
+    titles: Sequence[str],
+) -> Figure:  # fmt: skip
+    """Draw force against displacement along the push, as measured and by both models.
+
+    Args:
+        force: Force of each of N recordings [N], shapes [T, 3].
+        measured: Displacement [m], shapes [T, 3].
+        base: Of the base model [m], shapes [T, 3].
+        best: Of the repaired model [m], shapes [T, 3].
+        titles: Name of each recording, length N.
+    """
+    columns = 2 if len(force) > 1 else 1
+    rows = -(-len(force) // columns)
+    figure = Figure(figsize=(WIDTH if columns > 1 else 5.5, 0.6 + 2.9 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for ax in axes.ravel()[len(force) :]:
+        ax.set_visible(False)
+    for ax, f, *moved, title in zip(axes.ravel(), force, measured, base, best, titles, strict=False):
+        along = push_direction(f)
+        x, x_base, x_best = (100.0 * m @ along for m in moved)
+        ax.plot(x, f @ along, ".", color=MEASURED, markersize=3, label="measured")
+        _both(ax, x_base, x_best, f @ along, f @ along)
+        ax.set_title(short(title, 44))
+        ax.set_xlabel("displacement along the push [cm]")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("force [N]")
+    return _keyed(figure, axes[0, 0])
+
+
+def push_direction(force: Array) -> Array:
+    """Return the unit direction in which a force [T, 3] mainly acts, towards its larger values, shape [3]."""
+    along: Array = np.linalg.svd(force, full_matrices=False)[2][0]
+    return along * (np.sign(np.sum((force @ along) ** 3)) or 1.0)
+
+
+@styled
+def motion_figure(
+    angle: Sequence[Array], rate: Sequence[Array], base: Sequence[Array], best: Sequence[Array], *,
+    names: Sequence[str], units: tuple[str, str, str],
+) -> Figure:  # fmt: skip
+    """Draw what both models leave over against coordinate and rate, a row per joint; empty arrays are left out.
+
+    Args:
+        angle: Coordinate of each of N joints over all recordings, shapes [T].
+        rate: Its rate, shapes [T].
+        base: Measured minus base model, shapes [T].
+        best: Measured minus repaired model, shapes [T].
+        names: Name of each joint, length N.
+        units: Of coordinate, rate and residual.
+    """
+    figure = Figure(figsize=(WIDTH, 0.6 + 2.7 * len(names)), layout="constrained")
+    axes = figure.subplots(len(names), 2, squeeze=False, sharey="row")
+    for row, *across, b, a, name in zip(axes, angle, rate, base, best, names, strict=True):
+        row[0].set_ylabel(f"{short(name, 24)}\nresidual [{units[2]}]")
+        for ax, x, what, unit in zip(row, across, ("coordinate", "rate"), units[:2], strict=True):
+            ax.set_xlabel(f"{what} [{unit}]")
+            ax.axhline(0.0, color="#888888", linewidth=0.8)
+            every = slice(None, len(x), -(-len(b) // MOST_DOTS) or 1)
+            for y, colour, label in ((b, ALARM, BASE), (a, MODEL, BEST)):
+                ax.plot(x[every], y[every], ".", color=colour, markersize=2.5, alpha=0.5, label=label)
+    return _keyed(figure, axes[0, 0])
+
+
+@styled
+def ranking_figure(names: Sequence[str], behind: Array, explained: Array) -> Figure:
+    """Draw by how much every model is behind the preferred one, the share of the excess that it explains beside it.
+
+    Args:
+        names: What each of N models adds, best first; empty for the base.
+        behind: Differences of the information criterion to the preferred model, zero for itself, shape [N].
+        explained: Shares of the base's excess over the noise, shape [N].
+    """
+    figure = Figure(figsize=(WIDTH, 1.1 + 0.3 * len(names)), layout="constrained")
+    ax = figure.subplots()
+    at, length = np.arange(len(names)), np.maximum(np.asarray(behind, dtype=float), 0.0)
+    first = int(np.abs(behind).argmin())
+    colours = [MODEL if i == first else FAINT if name else ALARM for i, name in enumerate(names)]
+    ax.barh(at, length, color=colours, height=0.7)
+    for i, (x, share) in enumerate(zip(length, explained, strict=True)):
+        text = ("preferred, " if i == first else "") + f"{share:.0%} explained"
+        ax.annotate(text, (x, i), (5, 0), textcoords="offset points", va="center", fontsize=9, color=MEASURED)
+    ax.set_yticks(at, [short(name, 44) or BASE for name in names])
+    ax.invert_yaxis()
+    ax.set_xscale("symlog", linthresh=1.0)
+    ax.set_xlim(0.0, 20.0 * max(10.0, float(length.max())))
+    ax.set_xlabel(f"behind in the information criterion (within {TIED:g}: not to be told apart)")
+    ax.grid(visible=False, axis="y")
+    return figure
+
+
+@styled
+def gap_figure(base: float, repaired: float, noise_floor: float, *, unit: str) -> Figure:
+    """Draw the held-out misfit of both models beside what a perfect one would leave."""
+    figure = Figure(figsize=(5.2, 2.0), layout="constrained")
+    ax = figure.subplots()
+    values = [base, repaired, noise_floor]
+    ax.barh([BASE, BEST, "perfect model"], values, color=[ALARM, MODEL, NOISE], height=0.65)
+    for i, x in enumerate(values):
+        ax.annotate(f"{x:.3g}", (x, i), (4, 0), textcoords="offset points", va="center", fontsize=9)
+    ax.invert_yaxis()
+    ax.set_xlim(0.0, 1.18 * max(*values, 1e-300))
+    ax.set_xlabel(f"held-out rms misfit [{unit}]")
+    ax.grid(visible=False, axis="y")
+    return figure
+
+
+@styled
+def shares_figure(base: Sequence[Share], best: Sequence[Share]) -> Figure:
+    """Draw misfit over noise by part, a panel a kind; where the repaired model has none only the base is drawn."""
+    kinds = list(dict.fromkeys(s.by for s in base))
+    groups = [[s for s in base if s.by == kind] for kind in kinds]
+    after = {(s.by, s.part): s.ratio for s in best}
+    heights = [len(g) + 0.6 for g in groups]
+    figure = Figure(figsize=(WIDTH, 1.1 + 0.3 * sum(heights)), layout="constrained")
+    axes = figure.subplots(len(groups), 1, squeeze=False, sharex=True, gridspec_kw={"height_ratios": heights})[:, 0]
+    for ax, group in zip(axes, groups, strict=True):
+        at = np.arange(len(group))
+        ax.barh(at - 0.2, [s.ratio for s in group], color=ALARM, height=0.38, label=BASE)
+        ax.barh(at + 0.2, [after.get((s.by, s.part), 0.0) for s in group], color=MODEL, height=0.38, label=BEST)
+        ax.axvline(1.0, color=NOISE, linewidth=2, label="noise alone")
+        ax.set_yticks(at, [short(s.part) for s in group])
+        ax.set_ylim(len(group) - 0.4, -0.6)
+        ax.set_ylabel(group[0].by, rotation=0, ha="right", va="center", fontweight="bold")
+        ax.grid(visible=False, axis="y")
+    figure.align_ylabels()
+    axes[-1].set_xlabel(f"misfit / noise (above {CONTRAST} there is more than noise)")
+    return _keyed(figure, axes[0])

@@ -1,0 +1,126 @@
+"""Where to look for an oscillating load: frequencies at which a horizontal force would explain the residual.
+
+A gust is coherent on the absolute clock over all recordings, so that its frequency is known to a fraction of the
+inverse of the whole session, far too finely to simulate each. The branch answers a force at the grasp point nearly
+linearly: one pulse a recording and axis gives the response to any force by convolution. Frequencies that a single
+recording can tell apart are tried first, each recording with a phase of its own; about the best of them all that the
+session can tell apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ..case import BranchCase
+from ..rollout import Recording, Rollout
+from .candidates import Candidate, Probe
+from .contest import Contest
+from .scan import Basis
+
+#: Frequencies that are looked at more closely, and those that are simulated.
+COARSE, FINE = 3, 3
+#: Size of the pulse, as a share of the largest force.
+PULSE = 0.1
+
+
+def frequency_probes(contest: Contest, basis: Basis) -> tuple[list[Probe], int]:
+    """Return probes of the candidates that oscillate, at the likeliest frequencies, and how many were compared."""
+    own = [(i, c) for i, c in enumerate(contest.candidates) if any(s.unit == "Hz" for s in c.specs)]
+    if not own or not isinstance(contest.case, BranchCase):
+        return [], 1
+    probes, tried = [], 1
+    response = _pulse_response(contest, basis)
+    for index, candidate in own:
+        at = next(k for k, s in enumerate(candidate.specs) if s.unit == "Hz")
+        parameter = contest.parameters[candidate.columns[at]]
+        found, tried = _likeliest(contest, basis, response, (parameter.low, parameter.high))
+        probes += [_probe(index, candidate, at, f) for f in found]
+    return probes, tried
+
+
+def _probe(index: int, candidate: Candidate, at: int, frequency: float) -> Probe:
+    values = [s.neutral for s in candidate.specs]
+    values[at] = frequency
+    return Probe(index, tuple(values), tuple(k for k in range(len(values)) if k != at))
+
+
+def _pulse_response(contest: Contest, basis: Basis) -> torch.Tensor:
+    """Change of the channels after one newton at the second sample of every recording, x and y, [2, R, T, C]."""
+    case = contest.case
+    size = PULSE * max(float(np.abs(r.input).max()) for r in contest.recordings)
+    pulsed = [*contest.recordings, *(_pulsed(r, a, size) for a in (0, 1) for r in contest.recordings)]
+    values = contest.values(basis.fit.rows)[:, : contest.num_base]
+    out = Rollout(case, pulsed, 1, device=contest.device)(values)[0].double()
+    plain, x, y = out.chunk(3)
+    return torch.stack([x - plain, y - plain]) / size
+
+
+def _pulsed(r: Recording, axis: int, size: float) -> Recording:
+    changed = r.input.copy()
+    changed[1, axis] += size
+    return replace(r, input=changed)
+
+
+def _likeliest(
+    contest: Contest, basis: Basis, response: torch.Tensor, ends: tuple[float, float]
+) -> tuple[list[float], int]:
+    t = torch.as_tensor(contest.recordings[0].t, device=contest.place)
+    span = contest.recordings[-1].t_start + float(t[-1]) - contest.recordings[0].t_start
+    coarse = np.arange(ends[0], ends[1], 0.3 / float(t[-1]))
+    alone = _gains(contest, basis, response, coarse, together=False)
+    top = coarse[_separate(alone, COARSE)]
+    near = np.arange(-0.15 / float(t[-1]), 0.15 / float(t[-1]), 0.25 / span)
+    fine = (top[:, None] + near).ravel()
+    gains = _gains(contest, basis, response, fine, together=True)
+    return [float(fine[k]) for k in np.argsort(-gains)[:FINE]], len(coarse) + len(fine)
+
+
+def _separate(gain: np.ndarray, count: int) -> list[int]:
+    """Return the indices of the highest values of which none are neighbours."""
+    out: list[int] = []
+    for k in np.argsort(-gain):
+        if all(abs(k - j) > 1 for j in out):
+            out.append(int(k))
+        if len(out) == count:
+            break
+    return out
+
+
+def _gains(
+    contest: Contest, basis: Basis, response: torch.Tensor, frequency: np.ndarray, *, together: bool
+) -> np.ndarray:
+    """Squares of the residual that a force of each frequency explains, of one phase or of one in every recording."""
+    out = []
+    left = basis.free_of(basis.residual[None])[0]
+    per_recording = left.view(len(contest.recordings), -1)
+    for f in frequency:
+        waves = contest.whiten(_waves(contest, response, float(f))).flatten(1)
+        if together:
+            own = basis.free_of(waves)
+            pull = own @ left
+            out.append(float(pull @ torch.linalg.lstsq(own @ own.T, pull[:, None]).solution[:, 0]))
+            continue
+        own = waves.view(len(waves), len(contest.recordings), -1).transpose(0, 1)
+        pull = (own @ per_recording[..., None])[..., 0]
+        normal = own @ own.transpose(1, 2)
+        ridge = 1e-9 * normal.diagonal(dim1=1, dim2=2).amax(1).clamp(min=1e-12)
+        normal = normal + ridge[:, None, None] * torch.eye(len(waves), dtype=own.dtype, device=own.device)
+        out.append(float((pull * torch.linalg.solve(normal, pull[..., None])[..., 0]).sum()))
+    return np.nan_to_num(np.array(out))
+
+
+def _waves(contest: Contest, response: torch.Tensor, frequency: float) -> torch.Tensor:
+    """Response [4, R, T, C] to sine and cosine forces along x and y on the absolute clock."""
+    length = response.shape[2]
+    out = []
+    for j, r in enumerate(contest.recordings):
+        clock = torch.as_tensor(2.0 * np.pi * frequency * (r.t_start + r.t), device=response.device)
+        wave = torch.stack([clock.sin(), clock.cos()])
+        spectrum = torch.fft.rfft(wave, 2 * length)
+        kernel = torch.fft.rfft(response[:, j], 2 * length, dim=1)
+        both = torch.fft.irfft(spectrum[None, :, :, None] * kernel[:, None], 2 * length, dim=2)[:, :, :length]
+        out.append(both.flatten(0, 1))
+    return torch.stack(out, 1)

@@ -1,0 +1,170 @@
+"""The probe that would tell two models apart best: T-optimal over pushes that an arm can make.
+
+Atkinson & Fedorov 1975 (Biometrika 62:57): of all experiments take the one in which the rival, after its parameters
+have been fitted to it, stays farthest from the named model. Here the rival keeps what it has learnt from the case, so a
+probe is worth, to first order in the rival's free coordinates,
+
+    T = min_x |r - J x|^2 + x' P x,
+
+with r the difference of the two predictions over the sensors' noise, J the rival's derivatives in the probe and P its
+precision given the case. T is what the probe is expected to add to twice the log evidence against the rival.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ...sim.tree import Array
+from ..case import BranchCase
+from ..rollout import Recording
+from .contest import Contest, Rows
+from .refit import normal_equations
+from .search import Model, overdispersion
+
+#: Longest probe, in times of the case's longest recording.
+LONGEST = 3.0
+#: Evidence a sample is worth may be off by this much where models are: at most so many squares a number.
+ENOUGH = 12.0
+
+#: Force over the largest of the case, at a time over the probe's length.
+Course = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Push:
+    """One push: along which axis of the held segment (0, 1 across it, 2 along it), how hard, how long, and its course.
+
+    Attributes:
+        axis: Direction.
+        size: Largest force over the case's largest.
+        length: Duration over the case's longest recording.
+        course: Force over its largest at a time over the duration, in [-1, 1].
+        free_from: Share of the duration after which the gripper is open.
+    """
+
+    axis: int
+    size: float
+    length: float
+    course: Course
+    free_from: float = 1.0
+
+
+@dataclass(frozen=True)
+class ArmProbe:
+    """A probe in words, and its pushes one after the other with the gripper open in between."""
+
+    words: str
+    pushes: tuple[Push, ...]
+
+
+def _hold(t: Array) -> Array:
+    return np.clip(t / 0.1, 0.0, 1.0)
+
+
+def _triangle(t: Array) -> Array:
+    return np.interp(t, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
+
+
+def _sweep(t: Array) -> Array:
+    return np.sin(2.0 * np.pi * (2.0 * t + 6.0 * t**2))
+
+
+def _both(words: str, size: float, length: float, course: Course, free_from: float = 1.0) -> list[ArmProbe]:
+    """Return a probe across the held segment in each of two planes."""
+    return [
+        ArmProbe(words.format(plane), (Push(axis, size, length, course, free_from),))
+        for axis, plane in ((0, "in its own plane"), (1, "across its own plane"))
+    ]
+
+
+#: What an arm can do at the grasp point.
+ARM_PROBES: tuple[ArmProbe, ...] = (
+    *_both("push {} with a third of the force, hold, release, and record the free swing", 1 / 3, 1.0, _hold, 0.5),
+    *_both("push {} with all of the force, hold, release, and record the free swing", 1.0, 1.0, _hold, 0.5),
+    *_both("push {} and hold for three times as long", 1.0, 3.0, _hold),
+    *_both("a slow triangle of force {}, both ways", 1.0, 3.0, _triangle),
+    *_both("a sweep of frequencies {} with a third of the force", 1 / 3, 1.0, _sweep),
+    ArmProbe("pull along the segment and hold, gripper closed", (Push(2, 1.0, 1.0, _hold),)),
+    ArmProbe("push with a third of the force, with all of it, and with a third again, gripper open in between",
+             (Push(0, 1 / 3, 1.0, _hold, 0.7), Push(0, 1.0, 1.0, _hold, 0.7), Push(0, 1 / 3, 1.0, _hold, 0.7))),
+    ArmProbe("record without a push, gripper open", (Push(0, 0.0, 3.0, _hold, 0.0),)),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Worth:
+    """A probe and what it would add to twice the log evidence against a rival."""
+
+    probe: ArmProbe
+    evidence: float
+
+
+def best_probe(contest: Contest, model: Model, rival: Model) -> Worth | None:
+    """Return the probe that tells a model from its rival best; None where the case is not a branch."""
+    if not isinstance(contest.case, BranchCase):
+        return None
+    precision = _precision(contest, rival)
+    worths = [Worth(p, _worth(contest, p, model, rival, precision)) for p in ARM_PROBES]
+    return max(worths, key=lambda w: w.evidence)
+
+
+def _precision(contest: Contest, model: Model) -> tuple[torch.Tensor, torch.Tensor]:
+    """Precision [q, q] of a model's free coordinates given the case, nuisance taken out, and their columns [q]."""
+    residual, derivative, columns = contest.linearise(model.fit.rows)
+    normal, _ = normal_equations(contest, model.fit.rows, residual, derivative, columns)
+    q = columns.shape[1]
+    whole, p = normal[0], derivative.shape[1]
+    own = whole[:q, :q]
+    if whole.shape[0] > p:
+        mixed = whole[:q, p:]
+        own = own - mixed @ torch.linalg.solve(whole[p:, p:], mixed.T)
+    return own / overdispersion(contest, model.chi2), columns[0]
+
+
+def _worth(
+    contest: Contest, probe: ArmProbe, model: Model, rival: Model, precision: tuple[torch.Tensor, torch.Tensor]
+) -> float:  # fmt: skip
+    """Squares by which the rival misses the model's prediction of a probe, however its parameters adapt."""
+    case = contest.case
+    assert isinstance(case, BranchCase)
+    made = recordings_of(case, contest.recordings, probe)
+    other = Contest(case, made, contest.sigma.cpu().numpy(), contest.names, device=contest.device)
+    rows = [Rows(m.fit.rows.free, m.fit.rows.active, other.start0[None].clone(), m.fit.rows.free.new_ones(1, len(made)))
+            for m in (model, rival)]  # fmt: skip
+    wanted = other.simulate(other.values(rows[0]), rows[0].start)
+    _, derivative, _ = other.linearise(rows[1])
+    missed = other.whiten(wanted - other.simulate(other.values(rows[1]), rows[1].start)).flatten()
+    j = derivative[0, : len(precision[1])].flatten(1)
+    pull = j @ missed
+    adapted = float(pull @ torch.linalg.solve(j @ j.T + precision[0], pull))
+    return max(float(missed @ missed) - adapted, 0.0) / overdispersion(contest, model.chi2)
+
+
+def recordings_of(case: BranchCase, before: Sequence[Recording], probe: ArmProbe) -> list[Recording]:
+    """Return a probe as recordings of a case's rate, after its last one, held where the first is held."""
+    largest = max(float(np.linalg.norm(r.input, axis=1).max()) for r in before)
+    longest = max(float(r.t[-1]) for r in before)
+    begin = max(r.t_start + float(r.t[-1]) for r in before) + longest
+    axes = _axes(case)
+    out: list[Recording] = []
+    for push in probe.pushes:
+        t = np.arange(0.0, min(push.length, LONGEST) * longest, case.dt)
+        share = t / max(t[-1], case.dt)
+        held = share < push.free_from
+        force = push.size * largest * np.where(held, push.course(share), 0.0)
+        out.append(replace(before[0], t=t, input=force[:, None] * axes[push.axis], output=np.zeros((len(t), 6)),
+                           contact=held, t_start=begin))  # fmt: skip
+        begin += 2.0 * float(t[-1])
+    return out
+
+
+def _axes(case: BranchCase) -> Array:
+    """Directions [3, 3] at the held segment: across it in its own plane, across that plane, and along it."""
+    up, turn = case.elevation[case.grasp_segment], case.azimuth[case.grasp_segment]
+    along = np.array([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
+    across = np.array([-np.sin(turn), np.cos(turn), 0.0])
+    return np.array([np.cross(along, across), across, along])

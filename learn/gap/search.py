@@ -1,0 +1,153 @@
+"""Which effects explain what the base model leaves over: scan, joint refits, successive halving, further effects.
+
+Every candidate is fitted together with the base parameters (a residual fitted afterwards is confounded with them). The
+scan says where fits set out and which candidates are worth one; the better part of these goes on until few are left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from .contest import Contest, Rows
+from .frequencies import frequency_probes
+from .refit import Fits, fit
+from .scan import Basis, Scan, all_probes, look, start_rows
+
+#: Candidates that are fitted, those that go on after each round, and the iterations of the rounds.
+FIELD = (12, 5, 3)
+ITERATIONS = (2, 4, 8)
+#: Points from which a candidate sets out beside the fitted model; it sets out from the best of them with the base at
+#: its typical values too, for a base that was bent to stand in for an effect may be a trap.
+STARTS = 2
+#: Models to which a further effect is tried.
+LEADERS = 3
+
+Progress = Callable[[str, int], None]
+
+
+@dataclass
+class Model:
+    """A base with some effects, fitted.
+
+    Attributes:
+        members: Indices of the candidates in it.
+        fit: Its fit, one row.
+        settled: Whether it was followed to the last round.
+    """
+
+    members: tuple[int, ...]
+    fit: Fits
+    settled: bool = False
+
+    @property
+    def cost(self) -> float:
+        """Misfit and prior terms."""
+        return float(self.fit.cost[0])
+
+    @property
+    def chi2(self) -> float:
+        """Squares of whitened residuals."""
+        return float(self.fit.chi2[0])
+
+
+@dataclass
+class Level:
+    """What came of adding one more effect.
+
+    Attributes:
+        scan: First look beside the best model so far.
+        models: Models that were fitted, best first.
+    """
+
+    scan: Scan
+    models: list[Model]
+
+
+def overdispersion(contest: Contest, chi2: float) -> float:
+    """Return the squares left per measured number, at least one."""
+    return max(1.0, chi2 / contest.num_samples)
+
+
+def penalty(contest: Contest, members: Sequence[int]) -> float:
+    """Return what an information criterion charges for effects: each parameter the logarithm of the sample size."""
+    return math.log(contest.num_samples) * sum(len(contest.candidates[c].columns) for c in members)
+
+
+def first_look(
+    contest: Contest, fits: Fits, nulls: torch.Tensor | None = None, without: Sequence[int] = ()
+) -> tuple[Basis, Scan]:
+    """Look at all candidates beside a fitted model; ``nulls`` [V, N] are further residuals to be explained."""
+    basis = Basis(contest, fits)
+    oscillating, compared = frequency_probes(contest, basis) if not without else ([], 1)
+    probes = [*all_probes(contest, without), *oscillating]
+    residuals = basis.residual[None] if nulls is None else torch.cat([basis.residual[None], nulls])
+    scan = look(contest, basis, probes, residuals)
+    return basis, replace(scan, compared=[1] * (len(probes) - len(oscillating)) + [compared] * len(oscillating))
+
+
+def first_level(contest: Contest, basis: Basis, scan: Scan, progress: Progress) -> Level:
+    """Fit the candidates that the scan favours, one beside the base."""
+    return Level(scan, _halved(contest, *_field(contest, [(basis, scan, ())], FIELD[0]), progress))
+
+
+def next_level(contest: Contest, leaders: Sequence[Model], progress: Progress) -> Level:
+    """Fit the candidates that the scan favours beside each of the leading models."""
+    looks = []
+    for model in leaders:
+        basis, scan = first_look(contest, model.fit, without=model.members)
+        looks.append((basis, scan, model.members))
+        progress("looking", 1)
+    return Level(looks[0][1], _halved(contest, *_field(contest, looks, FIELD[0]), progress))
+
+
+def _field(
+    contest: Contest, looks: Sequence[tuple[Basis, Scan, tuple[int, ...]]], count: int
+) -> tuple[Rows, list[tuple[int, ...]]]:
+    """Rows that set out, and their members: the candidates that promise the least misfit, from their best probes."""
+    promised: dict[tuple[int, ...], tuple[float, int, int]] = {}
+    for n, (basis, scan, beside) in enumerate(looks):
+        for c in {p.candidate for p in scan.probes}:
+            k = scan.best(c, 1)[0]
+            misfit = float(basis.fit.cost[0]) - float(scan.gain[0, k]) + penalty(contest, [c])
+            key = tuple(sorted((*beside, c)))
+            if key not in promised or misfit < promised[key][0]:
+                promised[key] = (misfit, n, c)
+    rows: list[Rows] = []
+    members: list[tuple[int, ...]] = []
+    for key in sorted(promised, key=lambda key: promised[key][0])[:count]:
+        _, n, c = promised[key]
+        chosen = looks[n][1].best(c, STARTS)
+        own = start_rows(contest, looks[n][0], looks[n][1], [*chosen, chosen[0]])
+        own.free[-1, : contest.num_base] = contest.centre[: contest.num_base]
+        rows.append(own)
+        members += [key] * len(own)
+    return Rows.joined(rows), members
+
+
+def refitted(contest: Contest, models: Sequence[Model], iterations: int) -> list[Model]:
+    """Return models fitted further, after the noise model has changed; best first."""
+    fits = fit(contest, Rows.joined([m.fit.rows for m in models]), iterations)
+    out = [Model(m.members, fits[torch.tensor([s], device=contest.place)], m.settled) for s, m in enumerate(models)]
+    return sorted(out, key=lambda m: m.cost + penalty(contest, m.members))
+
+
+def _halved(contest: Contest, rows: Rows, members: list[tuple[int, ...]], progress: Progress) -> list[Model]:
+    """Fit rows in rounds; after each the better candidates go on. All models, best first."""
+    done: dict[tuple[int, ...], Model] = {}
+    for round_, iterations in enumerate(ITERATIONS):
+        fits = fit(contest, rows, iterations, lambda n: progress("fitting", n))
+        for s in torch.argsort(fits.cost).tolist():
+            if members[s] not in done or float(fits.cost[s]) < done[members[s]].cost:
+                done[members[s]] = Model(members[s], fits[torch.tensor([s], device=contest.place)])
+        ranked = sorted(done, key=lambda key: done[key].cost + penalty(contest, key))
+        if round_ + 1 < len(ITERATIONS):
+            ahead = ranked[: FIELD[round_ + 1]]
+            rows = Rows.joined([done[key].fit.rows for key in ahead])
+            members = list(ahead)
+    for key in members:
+        done[key].settled = True
+    return [done[key] for key in ranked]

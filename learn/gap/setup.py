@@ -1,0 +1,126 @@
+"""From a case to a contest with its noise, its base fit and what may excuse a misfit that no effect is behind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ...sim.tree import Array
+from ..case import BranchCase, JointCase
+from ..equation_error import noise_of, recordings_of, thinned
+from ..fit import find_modes
+from ..identify import force_noise, pooled_sigma
+from ..input_noise import input_colour
+from ..posterior import initial_vectors
+from ..rollout import Rollout
+from ..target import Target
+from .contest import Contest, Rows
+from .refit import Fits, fit
+
+#: Links that a segment is cut into to see what bending of its wood does.
+PIECES = 3
+#: Bend of the wood inside a segment over that of its joint under the same torque: mean and deviation of its prior, and
+#: the step by which its response is taken.
+WOOD, WOOD_SPREAD, WOOD_STEP = 0.05, 0.06, 0.06
+#: Starts of the base fit.
+STARTS = 8
+
+
+@dataclass
+class Base:
+    """A case ready to be asked what it lacks.
+
+    Attributes:
+        contest: Its models.
+        fit: The base model's fit, one row.
+        sigma: Noise of the channels, shape [C].
+        force_sigma: Noise of a branch's force [N], shape [3], or None.
+    """
+
+    contest: Contest
+    fit: Fits
+    sigma: Array
+    force_sigma: Array | None
+
+
+def base_of(case: BranchCase | JointCase, names: Sequence[str], seed: int, chosen: Sequence[int] | None = None) -> Base:
+    """Fit the base model to some or all recordings of a case and set the contest up about it."""
+    noise = noise_of(case)
+    sigma, force_sigma = pooled_sigma(case, noise), force_noise(case, noise)
+    every = recordings_of(case)
+    recordings = [thinned(case, every[j]) for j in (chosen if chosen is not None else range(len(every)))]
+    target = Target(case, recordings, torch.as_tensor(sigma))
+    starts = initial_vectors(target, STARTS, torch.Generator().manual_seed(seed))
+    modes = find_modes(target, starts)
+    u, start, _ = target.split(modes.theta[modes.log_posterior.argmax()][None])
+    contest = Contest(case, recordings, sigma, names)
+    row = contest.rows(1)
+    row.free[:, : contest.num_base] = u
+    row = Rows(row.free, row.active, start, row.weight)
+    fits = fit(contest, row, 3)
+    if isinstance(case, BranchCase) and force_sigma is not None:
+        colour(contest, fits.rows, force_sigma)
+        add_wood(contest, fits.rows)
+        fits = fit(contest, fits.rows, 3)
+        contest.overdispersion = max(1.0, float(fits.chi2[0]) / contest.num_samples)
+        fits = fit(contest, fits.rows, 4)
+    return Base(contest, fits, sigma, force_sigma)
+
+
+def colour(contest: Contest, row: Rows, force_sigma: Array) -> None:
+    """Let the noise of the force colour the residuals as it does about a base model."""
+    if float(force_sigma.max()) <= 0.0:
+        return
+    assert isinstance(contest.case, BranchCase)
+    values = contest.values(row)[0, : contest.num_base]
+    contest.colour = input_colour(contest.case, contest.recordings, values, force_sigma, contest.sigma)
+
+
+def add_wood(contest: Contest, row: Rows) -> None:
+    """Give every model the columns that wood bending inside each segment would add, about a base model."""
+    case = contest.case
+    assert isinstance(case, BranchCase)
+    spring, damper = contest.values(row)[0, : contest.num_base].chunk(2)
+    bends = WOOD * np.ones((case.num_segments + 1, case.num_segments))
+    for i in range(case.num_segments):
+        bends[i + 1, i] += WOOD_STEP
+    out = _on_pieces(contest, case, spring, damper, bends)
+    middle = contest.whiten(out[:1])
+    columns = (contest.whiten(out[1:]) - middle) / WOOD_STEP
+    contest.nuisance = columns.flatten(1)
+    contest.nuisance_mean = torch.full_like(columns[:, 0, 0, 0], WOOD)
+    contest.nuisance_spread = torch.full_like(columns[:, 0, 0, 0], WOOD_SPREAD)
+
+
+def _on_pieces(
+    contest: Contest, case: BranchCase, spring: torch.Tensor, damper: torch.Tensor, bends: Array
+) -> torch.Tensor:
+    """Simulate a branch whose segments are cut; ``bends`` [S, R] says how much each bends inside. [S, R, T, C]."""
+    fine = in_pieces(case)
+    piece = case.length[case.grasp_segment] / PIECES
+    k = min(int(case.grasp_distance / piece), PIECES - 1)
+    held = (PIECES * case.grasp_segment + k, np.array([0.0, 0.0, case.grasp_distance - k * piece]))
+    recordings = [replace(r, grasp=held) for r in contest.recordings]
+    inside = np.arange(fine.num_segments) % PIECES > 0
+    share = np.where(inside, (PIECES - 1) / np.repeat(bends, PIECES, axis=1), 1.0)
+    factor = torch.as_tensor(share, device=contest.place)
+    rollout = Rollout(fine, recordings, len(bends), device=contest.device)
+    values = [x.repeat_interleave(PIECES) * factor for x in (spring, damper)]
+    return rollout(torch.cat(values, 1)).double()
+
+
+def in_pieces(case: BranchCase) -> BranchCase:
+    """Return a branch case with every segment cut into pieces of equal length."""
+    share = np.linspace(0.0, 1.0, PIECES + 1)
+    radius = case.radius[:, :1] + (case.radius[:, 1:] - case.radius[:, :1]) * share
+    ends = np.stack([radius[:, :-1], radius[:, 1:]], -1)
+    area = (ends**2).sum(-1) + ends.prod(-1)
+    mass = case.mass[:, None] * area / area.sum(1, keepdims=True)
+    names = tuple(f"{n} {k + 1}" for n in case.segment_name for k in range(PIECES))
+    return replace(
+        case, segment_name=names, length=np.repeat(case.length / PIECES, PIECES), radius=ends.reshape(-1, 2),
+        elevation=np.repeat(case.elevation, PIECES), azimuth=np.repeat(case.azimuth, PIECES), mass=mass.ravel(),
+    )  # fmt: skip

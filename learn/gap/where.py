@@ -1,0 +1,311 @@
+"""Where a model is wrong: misfit over noise by recording and time, by what the probe does, and by joint.
+
+Misfit is measured minus simulated, every number over the deviation of its noise; its root mean square is one where
+nothing but noise is left. A part stands out where it is `CONTRAST` times the rest of its kind.
+
+The torque that a branch's joints lack is quasi-static: an extra torque tau_i turns joint i by tau_i / K_i and moves the
+grasp point by that turn times its lever in the rest pose. Inertia, and gravity's share in the stiffness, are left out.
+One grasp point shows three numbers a window and joints have three each, so ridge regression takes the smallest torques
+that explain them: joints are told apart only as far as their levers differ in direction. Noise is taken for white.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...sim.tree import Array
+from ..case import BranchCase, JointCase
+from ..equation_error import fits_torque
+from ..rollout import Recording
+from .contest import Contest
+from .diagnosis import Share, Where
+
+#: Time windows of the longest recording, and the fewest samples of one.
+WINDOWS, FEWEST = 16, 4
+#: A part stands out, and a misfit is more than noise, from this ratio on; parts of fewer samples do not count.
+CONTRAST, ENOUGH = 1.3, 10
+#: Trajectories that are named at most, and the least share of the worst one's misfit that names a further one.
+NAMED, NEARLY = 3, 0.7
+#: Misfit over noise that stands for a simulation that left the finite.
+BROKEN = 1e3
+#: A force is held where it changes by less than this share of its peak over a window of this share of the recording;
+#: below the share of the peak there is none.
+STEADY, SLOPE_WINDOW = 0.05, 0.04
+#: Of the mean squared response of the grasp point to joint torques.
+RIDGE = 0.01
+
+PHASES = {
+    "loading": "during loading", "hold": "while holding", "release": "during release",
+    "without force": "in contact without force", "gripper open": "with the gripper open",
+}  # fmt: skip
+DIRECTIONS = ("towards +x", "towards +y", "upwards", "towards -x", "towards -y", "downwards")
+PARTS: dict[str, tuple[str, ...]] = {
+    "phase": tuple(PHASES), "direction": DIRECTIONS, "amplitude": ("small", "medium", "large"),
+    "speed": ("low", "medium", "high"),
+}  # fmt: skip
+Labels = list[NDArray[np.str_]]
+
+
+def locate(
+    case: BranchCase | JointCase, recordings: Sequence[Recording], sigma: Array, output: Array,
+    stiffness: Array | None = None,
+) -> Where:  # fmt: skip
+    """Say where a model's simulation differs from what was measured.
+
+    Args:
+        case: The case.
+        recordings: R recordings.
+        sigma: Noise of the channels, shape [C], or of every number with what noise of the force adds, shape [R, T, C]
+            (`noise_seen`).
+        output: Simulated channels, shape [R, T, C].
+        stiffness: Springs of a branch's joints [N m/rad], shape [J], for the torque; None leaves it out.
+    """
+    squares = [np.nanmean(z**2, axis=1) for z in scaled(recordings, sigma, output)]
+    edges = window_edges(recordings)
+    heat = _heat(recordings, squares, edges)
+    worst = _worst(np.array([np.sqrt(s.mean()) for s in squares]))
+    shares = _shares(parts_of(case, recordings), squares)
+    torque: Array | None = None
+    joints: tuple[int, ...] = ()
+    if isinstance(case, BranchCase) and stiffness is not None:
+        torque, noise = joint_torque(case, recordings, sigma, output, stiffness)
+        own, loud = _by_joint(case, recordings, torque, noise)
+        shares, joints = shares + own, loud if worst else ()
+    windows = tuple(_window(heat, edges, recordings[j], j) for j in worst)
+    return Where(worst, windows, joints, regime(shares), heat, edges, tuple(shares), torque)
+
+
+def noise_seen(contest: Contest) -> Array:
+    """Return the noise of every number with what noise of the force adds through the model, [R, T, C] (or [C])."""
+    if contest.colour is None:
+        return contest.sigma.cpu().numpy()
+    added = contest.colour.variance(contest.measured.shape[1:])  # type: ignore[arg-type]
+    return (contest.sigma * (1.0 + added).sqrt()).cpu().numpy()
+
+
+def scaled(recordings: Sequence[Recording], sigma: Array, output: Array) -> list[Array]:
+    """Return measured minus simulated over noise of every recording, [T, C]; NaN in channels without noise."""
+    out = []
+    noise = np.broadcast_to(sigma, output.shape)
+    for r, own, simulated in zip(recordings, noise, output, strict=True):
+        n = len(r.t)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = (r.output - simulated[:n]) / own[:n]
+        z = np.clip(np.nan_to_num(z, nan=BROKEN), -BROKEN, BROKEN)
+        out.append(np.where(own[:n] > 0.0, z, np.nan))
+    return out
+
+
+def window_edges(recordings: Sequence[Recording]) -> Array:
+    """Return edges of equal time windows [s], shape [W + 1], the same for all recordings."""
+    longest = max(len(r.t) for r in recordings)
+    start, end = min(r.t[0] for r in recordings), max(r.t[-1] for r in recordings)
+    return np.linspace(start, end, min(WINDOWS, max(1, longest // FEWEST)) + 1)
+
+
+def _window_of(r: Recording, edges: Array) -> NDArray[np.intp]:
+    return np.clip(np.searchsorted(edges, r.t, side="right") - 1, 0, len(edges) - 2)
+
+
+def _heat(recordings: Sequence[Recording], squares: Sequence[Array], edges: Array) -> Array:
+    heat = np.full((len(recordings), len(edges) - 1), np.nan)
+    for row, r, s in zip(heat, recordings, squares, strict=True):
+        at = _window_of(r, edges)
+        for w in np.unique(at):
+            row[w] = np.sqrt(s[at == w].mean())
+    return heat
+
+
+def _worst(ratio: Array) -> tuple[int, ...]:
+    """Return the recordings beyond the noise that are nearly as bad as the worst, worst first."""
+    order = np.argsort(-ratio)[:NAMED]
+    return tuple(int(j) for j in order if ratio[j] > CONTRAST and ratio[j] >= NEARLY * ratio.max())
+
+
+def _window(heat: Array, edges: Array, r: Recording, j: int) -> tuple[int, float, float]:
+    """Worst window of a recording, with neighbours that are nearly as bad."""
+    row = np.nan_to_num(heat[j])
+    near = row >= NEARLY * row.max()
+    first = last = int(row.argmax())
+    while first > 0 and near[first - 1]:
+        first -= 1
+    while last + 1 < len(row) and near[last + 1]:
+        last += 1
+    return j, float(edges[first]), float(min(edges[last + 1], r.t[-1]))
+
+
+# ---- parts of the motion --------------------------------------------------------------------------------------------
+
+
+def parts_of(case: BranchCase | JointCase, recordings: Sequence[Recording]) -> dict[str, Labels]:
+    """Return which part of the motion every sample belongs to, by kind; arrays [T], empty text for none."""
+    out: dict[str, Labels] = {}
+    if isinstance(case, BranchCase):
+        out["phase"] = [phases(r) for r in recordings]
+        out["direction"] = [directions(r) for r in recordings]
+    for kind, of in (("amplitude", _amplitude), ("speed", _speed)):
+        if (values := _every(case, recordings, of)) is not None:
+            out[kind] = _thirds(values, PARTS[kind])
+    return out
+
+
+def phases(r: Recording) -> NDArray[np.str_]:
+    """Return what the probe does at every sample, from the size of its force and whether the gripper may hold, [T]."""
+    size = np.linalg.norm(r.input, axis=1)
+    peak = max(float(size[r.contact].max(initial=0.0)), 1e-300)
+    half = max(2, round(0.5 * SLOPE_WINDOW * len(size)))
+    offset = np.arange(-half, half + 1)
+    padded = np.pad(size, half, mode="edge")
+    slope = np.correlate(padded, offset / np.sum(offset**2), mode="valid")  # least squares, a sample
+    change = slope * 2 * half / peak
+    out = np.where(change > STEADY, "loading", np.where(change < -STEADY, "release", "hold"))
+    out = np.where((out == "hold") & (size < STEADY * peak), "without force", out)
+    return np.where(r.contact, out, "gripper open")
+
+
+def directions(r: Recording) -> NDArray[np.str_]:
+    """Return the world axis nearest to the force at every sample, [T]; empty where there is next to none."""
+    size = np.linalg.norm(r.input, axis=1)
+    axis = np.abs(r.input).argmax(axis=1)
+    backwards = r.input[np.arange(len(size)), axis] < 0.0
+    pushed = r.contact & (size > 2.0 * STEADY * size.max(initial=0.0))
+    return np.where(pushed, np.array(DIRECTIONS)[axis + 3 * backwards], "")
+
+
+def joint_motion(case: JointCase, r: Recording) -> dict[str, tuple[Array | None, Array | None]]:
+    """Return coordinate and rate [T] of every joint that has them measured; a rate may be the coordinate's slope."""
+    if fits_torque(case):
+        return {j.name: (r.input[:, 3 * k], r.input[:, 3 * k + 1]) for k, j in enumerate(case.joints)}
+    found: dict[str, dict[str, Array]] = {}
+    for channel, values in zip(case.channels, r.output.T, strict=True):
+        found.setdefault(channel.joint, {})[channel.quantity] = values
+    out: dict[str, tuple[Array | None, Array | None]] = {}
+    for name, own in found.items():
+        q, v = own.get("position"), own.get("velocity")
+        out[name] = q, np.gradient(q, r.t) if v is None and q is not None else v
+    return out
+
+
+def _amplitude(case: BranchCase | JointCase, r: Recording) -> Array | None:
+    return np.linalg.norm(r.output[:, :3], axis=1) if isinstance(case, BranchCase) else _size(case, r, 0)
+
+
+def _speed(case: BranchCase | JointCase, r: Recording) -> Array | None:
+    return np.linalg.norm(r.output[:, 3:6], axis=1) if isinstance(case, BranchCase) else _size(case, r, 1)
+
+
+def _size(case: JointCase, r: Recording, which: int) -> Array | None:
+    columns = [pair[which] for pair in joint_motion(case, r).values()]
+    known = [c for c in columns if c is not None]
+    return np.sqrt(np.sum(np.square(known), axis=0)) if known else None
+
+
+def _every(
+    case: BranchCase | JointCase, recordings: Sequence[Recording],
+    of: Callable[[BranchCase | JointCase, Recording], Array | None],
+) -> list[Array] | None:  # fmt: skip
+    values = [of(case, r) for r in recordings]
+    known = [v for v in values if v is not None]
+    return known if len(known) == len(values) else None
+
+
+def _thirds(values: Sequence[Array], names: Sequence[str]) -> Labels:
+    """Name every sample by the third of all samples that it belongs to."""
+    limits = np.quantile(np.concatenate(list(values)), [1 / 3, 2 / 3])
+    return [np.array(names)[np.searchsorted(limits, v, side="right")] for v in values]
+
+
+def _shares(parts: dict[str, Labels], squares: Sequence[Array]) -> list[Share]:
+    flat, out = np.concatenate(list(squares)), []
+    for kind, labels in parts.items():
+        at = np.concatenate(labels)
+        for part in PARTS[kind]:
+            if own := int((at == part).sum()):
+                out.append(Share(kind, part, float(np.sqrt(flat[at == part].mean())), own))
+    return out
+
+
+def regime(shares: Sequence[Share]) -> str:
+    """Return a phrase that names the parts that stand out against the quieter ones of their kind."""
+    loud = {kind: _loud([s for s in shares if s.by == kind and s.samples >= ENOUGH]) for kind in PARTS}
+    phrases = [" and ".join(PHASES[s.part] for s in loud["phase"])]
+    for kind, form in (("direction", "on pushes {}"), ("amplitude", "at {} amplitude"), ("speed", "at {} speed")):
+        phrases += [form.format(max(own, key=lambda s: s.ratio).part) for own in [loud[kind]] if own]
+    if text := ", ".join(p for p in phrases if p):
+        return text
+    return "everywhere alike" if any(s.ratio > CONTRAST for s in shares) else "nowhere beyond the noise"
+
+
+def _loud(shares: Sequence[Share]) -> list[Share]:
+    """Return the parts of one kind beyond the noise, nearly as bad as its worst, and worse than the quieter ones."""
+    worst = max((s.ratio for s in shares), default=0.0)
+    return [s for s in shares if s.ratio > max(CONTRAST * max(_quieter(s, shares), 1.0), NEARLY * worst)]
+
+
+def _quieter(share: Share, shares: Sequence[Share]) -> float:
+    """Return the ratio of all parts together that are quieter than one; infinite if there are none."""
+    others = [s for s in shares if s.ratio < share.ratio]
+    count = sum(s.samples for s in others)
+    return float(np.sqrt(sum(s.samples * s.ratio**2 for s in others) / count)) if count else np.inf
+
+
+# ---- torque at the joints -------------------------------------------------------------------------------------------
+
+
+def joint_torque(
+    case: BranchCase, recordings: Sequence[Recording], sigma: Array, output: Array, stiffness: Array
+) -> tuple[Array, Array]:
+    """Return the torque that every joint lacks, and what noise alone would make of it, rms [N m], both [R, J].
+
+    It is constant in a window and has three components a joint. Arguments as in `locate`.
+    """
+    edges = window_edges(recordings)
+    noise = np.broadcast_to(sigma, output.shape)
+    out = np.zeros((2, len(recordings), case.num_segments))
+    for j, r in enumerate(recordings):
+        n, at = len(r.t), _window_of(r, edges)
+        left = np.nan_to_num(r.output - output[j, :n])[:, :3]
+        estimator = _estimator(case, r, stiffness)
+        for w in np.unique(at):
+            own = at == w
+            torque = (estimator @ left[own].mean(axis=0)).reshape(-1, 3)
+            deviation = np.sqrt((noise[j, :n, :3][own] ** 2).mean(axis=0) / own.sum())
+            spread = ((estimator * deviation) ** 2).sum(axis=1).reshape(-1, 3)
+            out[:, j] += own.sum() / n * np.stack([(torque**2).sum(axis=1), spread.sum(axis=1)])
+    return np.sqrt(out[0]), np.sqrt(out[1])
+
+
+def grasp_response(case: BranchCase, r: Recording, stiffness: Array) -> Array:
+    """Return the grasp point's displacement per torque at the joints [m/(N m)], world axes, shape [3, 3 J]."""
+    assert r.grasp is not None
+    link, point = r.grasp
+    lever = case.lower_end[link] + case.axis[link] * point[2] - case.lower_end
+    lever[link + 1 :] = 0.0  # joints above the grasp point do not move it
+    turned = np.cross(np.eye(3)[None], lever[:, None])  # of each axis of each joint, [J, 3, 3]
+    return np.concatenate([t.T / k for t, k in zip(turned, stiffness, strict=True)], axis=1)
+
+
+def _estimator(case: BranchCase, r: Recording, stiffness: Array) -> Array:
+    """Torques per displacement of the grasp point, by ridge regression [3 J, 3]."""
+    response = grasp_response(case, r, stiffness)
+    normal = response @ response.T
+    return response.T @ np.linalg.inv(normal + RIDGE * np.trace(normal) / 3.0 * np.eye(3))
+
+
+def _by_joint(
+    case: BranchCase, recordings: Sequence[Recording], torque: Array, noise: Array
+) -> tuple[list[Share], tuple[int, ...]]:
+    """Torque over its noise at every joint, and the joints that stand out, largest torque first."""
+    samples = np.array([len(r.t) for r in recordings])
+    size, floor = (np.sqrt(np.average(x**2, axis=0, weights=samples)) for x in (torque, noise))
+    ratio = size / np.maximum(floor, 1e-300)
+    shares = [
+        Share("joint", f"{i}: {name}", float(ratio[i]), int(samples.sum()))
+        for i, name in enumerate(case.segment_name)
+        if floor[i] > 0.0
+    ]
+    loud = [int(i) for i in np.argsort(-size) if ratio[i] > CONTRAST and 2.0 * size[i] >= size.max()]
+    return shares, tuple(loud)

@@ -1,0 +1,198 @@
+"""A measured case with effects hidden in it, from a simulator that is not bough's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...sim.errors import InputError
+from .drive import drive
+from .names import NAMES, OUTSIDE, RECIPES, equivalents
+from .parts import Part, Readings, Scale
+from .probes import Experiment, recorded, truth, write_case
+from .rig import engine
+from .sizing import Bench, readings, strength, visible_gap
+
+#: Sizes of effects: rms change of displacement at the true springs, over its rms; log-uniform between these.
+SIZES = (0.05, 0.30)
+#: An effect that cannot reach its size is drawn anew, with another sign or shape, so often.
+REDRAWS = 3
+_WHO = "bough hide"
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect whose strength has been found.
+
+    Attributes:
+        name: Of the effect.
+        part: What is put into the rig.
+        size: Rms change of displacement over its rms.
+    """
+
+    name: str
+    part: Part
+    size: float
+
+
+def hide(
+    folder: str | Path,
+    *,
+    effects: Sequence[str] = (),
+    joint: int | None = None,
+    outside: str | None = None,
+    seed: int,
+    segments: int = 3,
+    noise: float = 0.03,
+    rate: float | None = None,
+    samples: int = 110,
+    size: float | None = None,
+    sub: int = 3,
+    wood: float = 0.08,
+    dt: float = 1e-3,
+    reach: float = 0.22,
+) -> dict[str, Any]:
+    """Write a case folder with effects hidden and ``<folder>_answer.json`` beside it; return the answer.
+
+    The branch, the experiment and the noise depend on the seed alone, not on what is hidden.
+
+    Args:
+        folder: Case folder to write.
+        effects: Names of `names.NAMES`; none for a case without effects.
+        joint: Joint that they act at, 0 nearest the base; drawn for each if None.
+        outside: One of `names.OUTSIDE` beside them.
+        seed: Seed of everything random.
+        segments: Number of segments R.
+        noise: Noise on displacement and velocity as a fraction of their rms; the force has half of it.
+        rate: Sampling rate [Hz]; drawn from 20, 25 and 40 if None.
+        samples: Samples a recording T.
+        size: Size of each effect, as in `SIZES`; drawn if None.
+        sub: Sub-links per segment.
+        wood: Bend of a segment's wood, see `rig.build`.
+        dt: Largest step [s].
+        reach: Peak displacement aimed at, as a fraction of the branch's length.
+
+    Raises:
+        InputError: A name or a number is not allowed, MuJoCo is missing, or the folder cannot be written.
+    """
+    names = (*effects, *([outside] if outside else []))
+    _check(effects, outside, joint, segments, noise, rate, samples, size)
+    engine()
+    experiment = Experiment(seed, segments, rate, samples, reach)
+    options: dict[str, Any] = {"sub": sub, "wood": wood}
+    with _silent():
+        if names:
+            found, seen = _hidden(experiment, names, joint, size, options, dt)
+            gap = visible_gap(experiment, seen, options)
+        else:
+            found, seen, gap = [], recorded(experiment, options | {"dt": dt}), 0.0
+    tables, sigma = experiment.noisy(seen, noise)
+    answer = _answer(found, outside, gap, experiment, noise)
+    answer |= {
+        k: v for k, v in truth(experiment, seen, sigma, noise, sub, wood).items() if k not in ("K", "D", "noise")
+    }
+    write_case(folder, experiment, tables, noise, answer)
+    return answer
+
+
+def _hidden(
+    experiment: Experiment,
+    names: Sequence[str],
+    joint: int | None,
+    size: float | None,
+    options: dict[str, Any],
+    dt: float,
+) -> tuple[list[Found], Readings]:
+    """Draw the effects and record the branch; random numbers of their own, so that the noise is that of the null."""
+    rng = np.random.default_rng([experiment.seed, 20])
+    bench = Bench(experiment, options)
+    scale = bench.scale()
+    for _ in range(REDRAWS):
+        found = [_drawn(name, rng, bench, scale, joint, _size(rng) if size is None else size) for name in names]
+        if all(f is not None for f in found):
+            kept = [f for f in found if f is not None]
+            seen = _recorded(experiment, [f.part for f in kept], options | {"dt": dt})
+            if np.isfinite(seen.moved).all():
+                return kept, seen
+    raise InputError(_WHO, "--seed", f"{experiment.seed}, a branch that leaves the finite", "another seed")
+
+
+def _size(rng: np.random.Generator) -> float:
+    return float(np.exp(rng.uniform(*np.log(SIZES))))
+
+
+def _drawn(
+    name: str, rng: np.random.Generator, bench: Bench, scale: Scale, joint: int | None, target: float
+) -> Found | None:
+    """Draw an effect until it can be as large as wanted; the nearest if none can, None if none stays finite."""
+    best = None
+    for _ in range(REDRAWS):
+        at = int(rng.integers(len(scale.angle))) if joint is None else joint
+        part, found = strength(bench, RECIPES[name](rng, scale, at), target)
+        if np.isfinite(found) and (best is None or abs(np.log(found / target)) < abs(np.log(best.size / target))):
+            best = Found(name, part, found)
+        if best and abs(np.log(best.size / target)) < np.log(1.5):
+            break
+    return best
+
+
+def _recorded(experiment: Experiment, parts: list[Part], options: dict[str, Any]) -> Readings:
+    motion = drive(
+        experiment.branch, experiment.forces, experiment.rate, parts=parts, clock=experiment.clock, **options
+    )
+    return readings(experiment, motion, parts)
+
+
+def _answer(
+    found: list[Found], outside: str | None, gap: float, experiment: Experiment, noise: float
+) -> dict[str, Any]:
+    """Return what is hidden, in the form of the practice cases' answers."""
+    return {
+        "null": not found,
+        "out_of_library": outside is not None,
+        "effects": [{"name": f.name, "joint": f.part.joint, "params": dict(f.part.params)} for f in found],
+        "equivalents": equivalents([f.name for f in found]),
+        "size_raw": {f.name: round(f.size, 4) for f in found},
+        "weak": [f.name for f in found if f.size < SIZES[0] / 1.5 or gap < noise],
+        "truth": {"K": experiment.branch.stiffness, "D": experiment.branch.damping},
+        "options": {"noise": noise, "force_noise": noise / 2, "planar": False,
+                    "n_traj": len(experiment.recordings), "rate": experiment.rate},
+        "visible_gap": round(gap, 5),
+    }  # fmt: skip
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep MuJoCo from writing a log where we run: a strength that is too great is found out by its numbers."""
+    mujoco, _ = engine()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)
+
+
+def _check(
+    effects: Sequence[str], outside: str | None, joint: int | None, segments: int, noise: float,
+    rate: float | None, samples: int, size: float | None,
+) -> None:  # fmt: skip
+    for name in effects:
+        if name not in NAMES:
+            raise InputError(_WHO, "--effects", repr(name), ", ".join(NAMES))
+    if len(set(effects)) < len(effects):
+        raise InputError(_WHO, "--effects", "a name twice", "each name once")
+    if outside is not None and outside not in OUTSIDE:
+        raise InputError(_WHO, "--outside", repr(outside), ", ".join(OUTSIDE))
+    if joint is not None and not 0 <= joint < segments:
+        raise InputError(_WHO, "--joint", str(joint), f"0 to {segments - 1}, counted from the base")
+    for option, value, low, high in (
+        ("--segments", segments, 1, 6), ("--samples", samples, 20, 2000), ("--noise", noise, 0.0, 0.5),
+        ("--rate", 25.0 if rate is None else rate, 5.0, 500.0), ("--size", 0.1 if size is None else size, 0.01, 1.0),
+    ):  # fmt: skip
+        if not low <= value <= high:
+            raise InputError(_WHO, option, str(value), f"{low} to {high}")

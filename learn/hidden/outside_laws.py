@@ -1,0 +1,275 @@
+"""Hidden effects that are on no list, for cases whose right answer is "none of the names"."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .branch import Array, unit
+from .parts import Draft, Law, Now, Part, Readings, Scale
+
+Random = np.random.Generator
+
+
+@dataclass
+class ChangingSpring(Law):
+    """Springs whose stiffness changes with the time on the clock: K (1 + drift (t - t0) / T + swing sin(2 pi f t)).
+
+    Attributes:
+        stiffness: Segment to K [N m/rad].
+        drift: Change from the first recording's start t0 to the last one's.
+        span: t0 and T [s].
+        swing: Amplitude of the oscillation.
+        frequency: f [Hz].
+    """
+
+    stiffness: dict[int, float]
+    drift: float = 0.0
+    span: tuple[float, float] = (0.0, 1.0)
+    swing: float = 0.0
+    frequency: float = 0.0
+
+    def act(self, now: Now) -> None:
+        """Add the torques."""
+        change = self.drift * (now.time - self.span[0]) / self.span[1]
+        change = change + self.swing * np.sin(2 * np.pi * self.frequency * now.time)
+        for segment, k in self.stiffness.items():
+            now.twist(segment, -k * change[:, None] * now.angle(segment))
+
+
+@dataclass
+class CubicDamper(Law):
+    """Torque -c |w|^2 w at a joint, no steeper beyond a rate.
+
+    Attributes:
+        joint: Segment whose lower joint it is.
+        damping: c [N m s^3/rad^3].
+        most: Largest |w| of the coefficient c |w|^2, which the explicit law must not make too large [rad/s].
+    """
+
+    joint: int
+    damping: float
+    most: float
+
+    def act(self, now: Now) -> None:
+        """Add the torque."""
+        rate = now.rate(self.joint)
+        square = np.minimum(self.most**2, (rate**2).sum(axis=1, keepdims=True))
+        now.twist(self.joint, -self.damping * square * rate)
+
+
+@dataclass
+class Neighbour(Law):
+    """Another branch that the grasp point touches on one side: a spring k with a damper, pushing only.
+
+    Attributes:
+        stiffness: k [N/m].
+        direction: Towards the neighbour, shape [3].
+        gap: Its distance [m].
+    """
+
+    stiffness: float
+    direction: Array
+    gap: float
+
+    def act(self, now: Now) -> None:
+        """Push back."""
+        into = now.moved @ self.direction - self.gap
+        speed = now.velocity @ self.direction
+        push = np.where(into > 0, np.maximum(0.0, self.stiffness * (into + 0.02 * speed)), 0.0)
+        now.push -= push[:, None] * self.direction
+
+
+@dataclass
+class Tether(Law):
+    """A rope from the grasp point to a fixed point, slack at rest, that pulls only.
+
+    Attributes:
+        stiffness: [N/m].
+        reach: From the rest position to the fixed point [m], shape [3].
+        slack: Length beyond that [m].
+    """
+
+    stiffness: float
+    reach: Array
+    slack: float
+
+    def act(self, now: Now) -> None:
+        """Pull."""
+        way = self.reach - now.moved
+        length = np.sqrt((way**2).sum(axis=1))
+        stretch = np.maximum(0.0, length - np.sqrt(self.reach @ self.reach) - self.slack)
+        now.push += (self.stiffness * stretch / length)[:, None] * way
+
+
+@dataclass
+class FluidMemory(Law):
+    """A drag at the grasp point on the velocity less its own past: the fluid is carried along after a time T.
+
+    Attributes:
+        drag: [N s/m].
+        time: T [s].
+    """
+
+    drag: float
+    time: float
+    fading = True
+
+    def begin(self, now: Now) -> None:
+        """Bring the fluid to rest."""
+        self._carried = np.zeros((len(now.datas), 3))
+
+    def act(self, now: Now) -> None:
+        """Drag."""
+        velocity = now.velocity
+        self._carried = velocity + (self._carried - velocity) * np.exp(-now.step / self.time)
+        now.push -= self.drag * (velocity - self._carried)
+
+
+def _sign(rng: Random) -> float:
+    return 1.0 if rng.random() < 0.5 else -1.0
+
+
+def gain_error(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw displacement and velocity with another gain on every axis; the strength is the largest error."""
+    lean = rng.uniform(-1, 1, 3)
+    lean /= np.abs(lean).max()
+
+    def make(strength: float) -> Part:
+        gain = 1 + strength * lean
+        return Part({"gain": gain.tolist()},
+                    sense=lambda seen: seen.but(moved=gain * seen.moved, velocity=gain * seen.velocity))  # fmt: skip
+
+    return Draft(make, 0.01, 0.2, 0.8)
+
+
+def frame_misalignment(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a force sensor whose frame is turned; the strength is the angle [rad]."""
+    axis = unit(rng.normal(size=3))
+    across = np.cross(np.eye(3), axis)
+
+    def make(strength: float) -> Part:
+        turn = np.eye(3) + np.sin(strength) * across + (1 - np.cos(strength)) * across @ across
+        return Part({"axis": axis.tolist(), "angle_rad": strength},
+                    sense=lambda seen: seen.but(force=seen.force @ turn))  # fmt: skip
+
+    return Draft(make, 0.01, 0.2, 1.2)
+
+
+def stiffness_drift(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw springs that all stiffen or soften over the hours of the experiment; the strength is the share."""
+    sign, span = _sign(rng), (float(scale.clock[0]), float(scale.clock[-1] - scale.clock[0]))
+    springs = dict(enumerate(scale.branch.stiffness))
+
+    def make(strength: float) -> Part:
+        return Part({"drift": sign * strength}, law=lambda: ChangingSpring(springs, sign * strength, span))
+
+    return Draft(make, 0.02, 0.3, 0.7)
+
+
+def parametric_stiffness(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a spring whose stiffness oscillates; the strength is the amplitude."""
+    frequency, k = float(rng.uniform(0.3, 1.5)), scale.branch.stiffness[joint]
+
+    def make(strength: float) -> Part:
+        law = ChangingSpring({joint: k}, swing=strength, frequency=frequency)
+        return Part({"amplitude": strength, "frequency_Hz": frequency}, joint, lambda: law)
+
+    return Draft(make, 0.02, 0.3, 0.9)
+
+
+def cubic_velocity_damping(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a damper that grows with the square of the rate; the strength is its torque at the largest rate over K's."""
+    unit_damping = scale.torque(joint) / float(scale.rate[joint]) ** 3
+
+    def make(strength: float) -> Part:
+        value = strength * unit_damping
+        most = 1.3 * float(scale.rate[joint])
+        return Part({"damping_Nms3prad3": value}, joint, lambda: CubicDamper(joint, value, most))
+
+    return Draft(make, 0.02, 0.5, 1.5)
+
+
+def neighbour_stop(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a neighbour on one side of the branch; the strength is its stiffness over force per displacement."""
+    direction = scale.pushes[int(rng.integers(len(scale.pushes)))]
+    gap = float(rng.uniform(0.2, 0.5) * scale.moved)
+
+    def make(strength: float) -> Part:
+        k = strength * scale.force / scale.moved
+        params = {"stiffness_Npm": k, "gap_m": gap, "direction": direction.tolist()}
+        return Part(params, law=lambda: Neighbour(k, direction, gap))
+
+    return Draft(make, 0.02, 0.7, 20.0)
+
+
+def tether(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a rope to a fixed point; the strength is its stiffness over force per displacement."""
+    away = -scale.pushes[int(rng.integers(len(scale.pushes)))] + 0.3 * rng.normal(size=3)
+    reach, slack = float(rng.uniform(0.3, 1.2)) * unit(away), float(rng.uniform(0.0, 0.2) * scale.moved)
+
+    def make(strength: float) -> Part:
+        k = strength * scale.force / scale.moved
+        params = {"stiffness_Npm": k, "reach_m": reach.tolist(), "slack_m": slack}
+        return Part(params, law=lambda: Tether(k, reach, slack))
+
+    return Draft(make, 0.02, 0.5, 20.0)
+
+
+def fluid_memory(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a fluid with memory at the grasp point; the strength is its drag at the largest speed."""
+    time = float(np.exp(rng.uniform(np.log(0.05), np.log(0.6))))
+
+    def make(strength: float) -> Part:
+        drag = strength * scale.force / scale.speed
+        return Part({"drag_Nspm": drag, "memory_s": time}, law=lambda: FluidMemory(drag, time))
+
+    return Draft(make, 0.01, 0.3, 5.0)
+
+
+def clock_jitter(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw displacement and velocity taken early or late; the strength is the clock's deviation in samples."""
+    wander = np.zeros((len(scale.clock), scale.samples))
+    for n in range(1, scale.samples):
+        wander[:, n] = 0.9 * wander[:, n - 1] + np.sqrt(1 - 0.9**2) * rng.normal(size=len(wander))
+
+    def make(strength: float) -> Part:
+        return Part({"deviation_samples": strength}, sense=lambda seen: _resampled(seen, strength * wander))
+
+    return Draft(make, 0.1, 1.0, 8.0)
+
+
+def _resampled(seen: Readings, late: Array) -> Readings:
+    """Displacement and velocity ``late`` samples [N, T] after their time, straight between samples."""
+    at = np.clip(np.arange(len(seen.time)) + late, 0, len(seen.time) - 1)
+    low = np.minimum(at.astype(int), len(seen.time) - 2)
+    part, row = (at - low)[..., None], np.arange(len(late))[:, None]
+    moved, velocity = (
+        (1 - part) * values[row, low] + part * values[row, low + 1] for values in (seen.moved, seen.velocity)
+    )
+    return seen.but(moved=moved, velocity=velocity)
+
+
+def displacement_saturation(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a displacement sensor that ends before the motion does; the strength is the share that it lacks."""
+
+    def make(strength: float) -> Part:
+        limit = (1 - strength) * scale.moved
+        return Part({"limit_m": limit}, sense=lambda seen: seen.but(moved=np.clip(seen.moved, -limit, limit)))
+
+    return Draft(make, 0.02, 0.5, 0.95)
+
+
+RECIPES = {
+    "displacement_gain_error": gain_error,
+    "frame_misalignment": frame_misalignment,
+    "stiffness_drift": stiffness_drift,
+    "parametric_stiffness": parametric_stiffness,
+    "cubic_velocity_damping": cubic_velocity_damping,
+    "neighbour_stop": neighbour_stop,
+    "tether": tether,
+    "fluid_memory": fluid_memory,
+    "clock_jitter": clock_jitter,
+    "displacement_saturation": displacement_saturation,
+}

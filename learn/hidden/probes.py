@@ -1,0 +1,247 @@
+"""The experiment: six probes and two replicates, their forces, and the case folder that they are written to."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ...sim.errors import InputError
+from ...sim.files import output_folder
+from .branch import TRUNK_PIVOT, Array, Branch, random_branch, unit
+from .drive import Motion, drive
+from .parts import Readings
+
+HEADER = "t_s,fx_N,fy_N,fz_N,x_m,y_m,z_m,vx_mps,vy_mps,vz_mps"
+PROFILES = ("ramp_hold_return", "pull_release", "triangle_bothways", "sweep", "steps", "pull_release")
+QUIET = 0.25
+
+
+def shape(profile: str, t: Array, duration: float, rng: np.random.Generator) -> Array:
+    """Force history of a profile with peak one (sweep: 0.3), zero until ``QUIET`` and at the end, shape [T]."""
+    x = t - QUIET
+    span = duration - 2 * QUIET
+    if profile == "ramp_hold_return":
+        back = duration * rng.uniform(0.55, 0.62)
+        return np.interp(x, [0, 0.25 * duration, back, back + 0.15 * duration], [0, 1, 1, 0])
+    if profile == "pull_release":
+        off = duration * rng.uniform(0.28, 0.36)
+        return np.where(x < off, np.interp(x, [0, 0.18 * duration], [0, 1]), 0.0)
+    if profile == "triangle_bothways":
+        return np.interp(x / span, [0, 0.25, 0.75, 1], [0, 1, -1, 0])
+    if profile == "sweep":
+        u = np.clip(x / span, 0, 1)
+        taper = np.minimum(1, 8 * np.minimum(u, 1 - u))
+        return np.asarray(0.3 * taper * np.sin(2 * np.pi * span * (0.4 * u + 1.2 * u * u)))
+    knots = [0.18, 0.22, 0.38, 0.42, 0.58, 0.65, 0.77, 0.88, 0.96, 1.0]
+    return np.interp(x / (0.88 * duration - QUIET), knots, [0, 0.35, 0.35, 0.7, 0.7, 1, 1, -0.4, -0.4, 0])
+
+
+def peak_force(branch: Branch, direction: Array, reach: float) -> float:
+    """Force [N] along ``direction`` that the linear springs answer with a grasp displacement of ``reach`` [m]."""
+    lever = np.cross(branch.grasp() - branch.joints(), direction)
+    moved = (np.cross(lever / np.array(branch.stiffness)[:, None], branch.grasp() - branch.joints())).sum(axis=0)
+    return float(reach / np.linalg.norm(moved))
+
+
+def _directions(branch: Branch, rng: np.random.Generator, count: int) -> list[Array]:
+    """Directions mostly across the branch; the second is the first reversed."""
+    chord = unit(branch.grasp())
+    out: list[Array] = []
+    while len(out) < count:
+        v = rng.normal(size=3)
+        out.append(unit(v - 0.8 * (v @ chord) * chord))
+    out[1] = -out[0]
+    return out
+
+
+def plan(branch: Branch, rng: np.random.Generator, t: Array, reach: float) -> list[dict[str, Any]]:
+    """Six probes and replicates of the first two, each with its true force [T, 3]; ``reach`` in m."""
+    duration, clock, out = float(t[-1]), float(rng.uniform(0, 3)), []
+    for profile, direction in zip(PROFILES, _directions(branch, rng, len(PROFILES)), strict=True):
+        history = shape(profile, t, duration, rng)
+        force = peak_force(branch, direction, reach * rng.uniform(0.85, 1.1)) * history[:, None] * direction
+        # Linear between samples: zero only from the first sample at zero on.
+        last = int(np.flatnonzero(np.abs(history) > 1e-12).max())
+        spans = [[0.0, QUIET], [float(t[last + 1]), duration]] if last + 1 < len(t) else [[0.0, QUIET]]
+        out.append({"profile": profile, "direction": direction.round(6).tolist(), "replicate_of": None,
+                    "no_contact": spans, "force": force})  # fmt: skip
+    out += [{**out[i], "replicate_of": i + 1} for i in range(2)]
+    for i, item in enumerate(out):
+        item.update(file=f"traj_{i + 1:02d}.csv", t_start_s=round(clock, 3))
+        clock += duration + float(rng.uniform(18, 24))
+    return out
+
+
+def within_reach(branch: Branch, forces: Array, rate: float, **options: Any) -> tuple[Array, Motion]:
+    """Weaken every force history [N, T, 3] that moves the grasp point by more than a third of the branch.
+
+    Returns:
+        The forces [N] and how the branch moves under them.
+    """
+    most = sum(branch.length) / 3
+    for _ in range(6):
+        motion = drive(branch, forces, rate, **options)
+        peak = np.linalg.norm(motion.moved, axis=-1).max(axis=1)
+        if not np.isfinite(peak).all():
+            raise RuntimeError("the branch left the finite")
+        if (peak <= most).all():
+            return forces, motion
+        forces = forces * np.minimum(1.0, 0.95 * most / peak)[:, None, None]
+    return forces, drive(branch, forces, rate, **options)
+
+
+class Experiment:
+    """A random branch and what is done to it; everything random comes from one seed.
+
+    Attributes:
+        rng: Source of what is random; the noise is drawn from it last.
+        branch: The branch.
+        rate: Sampling rate [Hz].
+        time: Times of the samples [s], shape [T].
+        recordings: What ``meta.yaml`` says of each recording.
+        forces: True forces [N], shape [N, T, 3].
+    """
+
+    def __init__(self, seed: int, segments: int, rate: float | None, samples: int, reach: float) -> None:
+        self.seed, self.rng = seed, np.random.default_rng(seed)
+        self.branch = random_branch(self.rng, segments)
+        self.rate = rate or float(self.rng.choice([20.0, 25.0, 40.0]))
+        self.time = np.arange(samples) / self.rate
+        self.recordings = plan(self.branch, self.rng, self.time, reach * sum(self.branch.length))
+        self.forces = np.stack([r.pop("force") for r in self.recordings])
+
+    @property
+    def clock(self) -> Array:
+        """Start of each recording on the absolute clock [s], shape [N]."""
+        return np.array([r["t_start_s"] for r in self.recordings])
+
+    @property
+    def open_hand(self) -> Array:
+        """Where the gripper is known to be open, shape [N, T]."""
+        out = np.zeros(self.forces.shape[:2], dtype=bool)
+        for k, item in enumerate(self.recordings):
+            for start, end in item["no_contact"]:
+                out[k] |= (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
+        return out
+
+    def noisy(self, seen: Readings, noise: float) -> tuple[Array, list[float]]:
+        """Return readings with white noise, force, displacement, velocity [N, T, 9], and its deviations [N, m, m/s]."""
+        clean = (seen.force, seen.moved, seen.velocity)
+        rms = [float(np.sqrt(np.mean(np.sum(c**2, axis=-1)) / 3)) for c in clean]
+        sigma = [noise / 2 * rms[0], noise * rms[1], noise * rms[2]]
+        noisy = [c + s * self.rng.normal(size=c.shape) for c, s in zip(clean, sigma, strict=True)]
+        return np.concatenate(noisy, axis=-1), sigma
+
+
+def write_case(folder: str | Path, experiment: Experiment, tables: Array, noise: float, answer: dict[str, Any]) -> None:
+    """Write a case folder and ``<folder>_answer.json`` beside it, both whole or not at all.
+
+    Args:
+        folder: Case folder to write.
+        experiment: What was done.
+        tables: Readings of all recordings, shape [N, T, 9].
+        noise: Noise to state, as a fraction of a channel's rms.
+        answer: What the JSON holds.
+
+    Raises:
+        InputError: The folder or the file beside it cannot be written.
+    """
+    path = Path(folder).absolute()
+    if not path.name:
+        raise InputError(folder, "--out", "the root folder", "a folder below it")
+    beside = path.with_name(path.name + "_answer.json")
+    if beside.is_dir():
+        raise InputError(beside, "--out", "a folder", "a file, or a path where one can be made")
+    with output_folder(path) as work:
+        for item, table in zip(experiment.recordings, tables, strict=True):
+            rows = np.column_stack([experiment.time, table])
+            np.savetxt(work / item["file"], rows, fmt="%.7g", delimiter=",", header=HEADER, comments="")
+        # Through JSON, so that replicates do not become YAML aliases.
+        meta = json.loads(json.dumps(_meta(experiment, noise)))
+        (work / "meta.yaml").write_text(yaml.safe_dump(meta, sort_keys=False))
+        fresh = work.with_name(work.name + ".json")
+        fresh.write_text(json.dumps(answer, indent=1))
+    os.replace(fresh, beside)
+
+
+def make_branch_case(
+    folder: str | Path,
+    seed: int,
+    *,
+    segments: int = 3,
+    noise: float = 0.03,
+    sub: int = 3,
+    wood: float = 0.08,
+    dt: float = 2.5e-4,
+    rate: float | None = None,
+    samples: int = 110,
+    reach: float = 0.22,
+) -> dict[str, Any]:
+    """Write a case folder in which nothing is hidden and ``<folder>_answer.json`` beside it; return the answer.
+
+    Args:
+        folder: Case folder to write.
+        seed: Seed of everything random.
+        segments: Number of segments R.
+        noise: Noise on displacement and velocity as a fraction of their RMS over the case; force has half of it.
+        sub: Sub-links per segment.
+        wood: See `rig.build`.
+        dt: Largest step [s].
+        rate: Sampling rate [Hz]; drawn from 20, 25, 40 if None.
+        samples: Samples per trajectory.
+        reach: Peak displacement aimed at, as a fraction of the branch's length.
+    """
+    experiment = Experiment(seed, segments, rate, samples, reach)
+    options = {"sub": sub, "wood": wood, "dt": dt}
+    seen = recorded(experiment, options)
+    tables, sigma = experiment.noisy(seen, noise)
+    answer = truth(experiment, seen, sigma, noise, sub, wood)
+    write_case(folder, experiment, tables, noise, answer)
+    return answer
+
+
+def recorded(experiment: Experiment, options: dict[str, Any]) -> Readings:
+    """Keep the forces within reach and record the branch in which nothing is hidden."""
+    forces, motion = within_reach(experiment.branch, experiment.forces, experiment.rate, **options)
+    experiment.forces = forces
+    return Readings(experiment.time, forces, motion.moved, motion.velocity, motion.turn)
+
+
+def truth(
+    experiment: Experiment, seen: Readings, sigma: list[float], noise: float, sub: int, wood: float
+) -> dict[str, Any]:
+    """Return what every answer tells of the branch and the noise."""
+    branch = experiment.branch
+    return {
+        "seed": experiment.seed, "K": branch.stiffness, "D": branch.damping, "wood": wood, "sub_links": sub,
+        "noise": noise, "sigma_force_N": sigma[0], "sigma_displacement_m": sigma[1], "sigma_velocity_mps": sigma[2],
+        "peak_displacement_m": float(np.linalg.norm(seen.moved, axis=-1).max()), "branch": asdict(branch),
+    }  # fmt: skip
+
+
+def _meta(experiment: Experiment, noise: float) -> dict[str, Any]:
+    branch, axes = experiment.branch, experiment.branch.axes()
+    forks = np.degrees(np.arccos(np.clip((axes[1:] * axes[:-1]).sum(axis=1), -1, 1)))
+    columns = zip(
+        branch.names, branch.length, branch.radius_base, branch.radius_tip, branch.elevation, branch.azimuth,
+        branch.mass().tolist(), strict=True,
+    )  # fmt: skip
+    keys = ("name", "length_m", "radius_base_m", "radius_tip_m", "elevation_deg", "azimuth_deg", "mass_kg")
+    rounded = [[v if isinstance(v, str) else round(v, 6) for v in row] for row in columns]
+    order = ("file", "profile", "direction", "t_start_s", "replicate_of", "no_contact")
+    return {
+        "format": "branch-gap-case/1", "sample_rate_hz": experiment.rate, "n_samples": len(experiment.time),
+        "gravity_mps2": branch.gravity, "planar": False, "density_kgpm3": round(branch.density, 4),
+        "base_position_m": [0.0, 0.0, 0.0], "trunk_pivot_below_base_m": TRUNK_PIVOT,
+        "segments": [dict(zip(keys, row, strict=True)) for row in rounded],
+        "fork_angles_deg": forks.round(4).tolist(),
+        "grasp": {"segment": branch.names[-1], "distance_from_lower_end_m": round(branch.grasp_distance, 6)},
+        "noise_nominal": noise or None, "trajectories": [{k: r[k] for k in order} for r in experiment.recordings],
+        "conventions": "z up, world frame; rest pose = equilibrium under gravity",
+    }  # fmt: skip
