@@ -28,14 +28,17 @@ $(VENV)/installed-%: pyproject.toml constraints.txt | $(BIN)/python
 	@mkdir -p $(VENV)/name && ln -sfn ../.. $(VENV)/name/bough
 	@touch $@
 
-demo: $(VENV)/installed-test  ## grow a forest, simulate it, learn a branch's springs (minutes)
+demo: $(VENV)/installed-test  ## grow a forest, simulate it, learn a branch's springs, find what it lacks (minutes)
 	$(BIN)/bough forest --species Ta --count 64 --order 2 --noise 0.1 --seed 0 --out $(DEMO)/forest
 	$(BIN)/bough simulate $(DEMO)/forest/tree_0000.xml --bend 0.2 --worlds 64 --seconds 2 --precision 32 \
 		--out $(DEMO)/motion
 	$(BIN)/bough hide --seed 1 --segments 3 --noise 0.03 --out $(DEMO)/case
 	$(BIN)/bough identify $(DEMO)/case --out $(DEMO)/identified
+	$(BIN)/bough hide --effects dry_friction --seed 7 --out $(DEMO)/hidden
+	$(BIN)/bough diagnose $(DEMO)/hidden --out $(DEMO)/diagnosis
 	@echo
-	@echo "Look at $(DEMO)/forest/forest.png (the forest) and open $(DEMO)/identified/report.html (what was learnt)."
+	@echo "Look at $(DEMO)/forest/forest.png (the forest), open $(DEMO)/identified/report.html (what was learnt)" \
+		"and $(DEMO)/diagnosis/report.html (what was missing; the answer is $(DEMO)/hidden_answer.json)."
 
 test: $(VENV)/installed-test  ## run all tests (minutes)
 	$(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile

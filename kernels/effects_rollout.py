@@ -155,16 +155,18 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
 
     def drawn(
         input_in: wp.array3d(dtype=wp.float64), e: int, fx: Any, j: int, k: int, after: int, n: int, c: int, step: int,
-        substeps: int, hold: int, rate: wp.float64, like: Any,
+        substeps: int, hold: int, rate: wp.float64, sensed: int, like: Any,
     ):  # fmt: skip
-        """Recorded value in the middle of a step, shifted by the lag of the sensor."""
+        """Recorded value in the middle of a step; shifted by the lag of the sensor, it is in column ``sensed``."""
         a = input_in[j, k, c]
         share = (wp.float64(step) + wp.float64(0.5)) / wp.float64(substeps)
         value = real(a + (input_in[j, after, c] - a) * (wp.float64(hold) * share), like)
         if wp.static(has_delay):
             if fx.active[e, delay_term] == 1:
                 lag = fx.parameter[e, delay_slot * fx.stride] * real(rate, like)
-                value = value + shifted(input_in, j, k, n, c, share, lag)
+                a = input_in[j, k, sensed]
+                value = real(a + (input_in[j, after, sensed] - a) * (wp.float64(hold) * share), like)
+                value = value + shifted(input_in, j, k, n, sensed, share, lag)
         return value
 
     drawn = wp.func(drawn, name=f"drawn_{key}")
@@ -258,11 +260,13 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                 if k < n - 1:
                     for step in range(substeps):
                         recorded = Vec(
-                            drawn(input_in, e, fx, j, k, k + 1, n, 0, step, substeps, 1, rate, o),
-                            drawn(input_in, e, fx, j, k, k + 1, n, 1, step, substeps, 1, rate, o),
-                            drawn(input_in, e, fx, j, k, k + 1, n, 2, step, substeps, 1, rate, o),
+                            drawn(input_in, e, fx, j, k, k + 1, n, 0, step, substeps, 1, rate, 4, o),
+                            drawn(input_in, e, fx, j, k, k + 1, n, 1, step, substeps, 1, rate, 5, o),
+                            drawn(input_in, e, fx, j, k, k + 1, n, 2, step, substeps, 1, rate, 6, o),
                         )
-                        contact = drawn(input_in, e, fx, j, k, k + 1, n, 3, step, substeps, 1, rate, o)
+                        held = real(wp.min(input_in[j, k, 3] + input_in[j, k + 1, 3], wp.float64(1.0)), o)
+                        recorded = recorded * held  # a late sensor still feels what an open gripper does not
+                        contact = drawn(input_in, e, fx, j, k, k + 1, n, 3, step, substeps, 1, rate, 7, o) * held
                         gravity = zero - s_out.accel0[r, 0]
                         now = ForceState(recorded, contact, s_out.pose[r, place], calm, gravity)
                         acting = force_law(e, 0, fx, now)
@@ -320,7 +324,7 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
             for step in range(substeps):
                 for d in range(driven.shape[0]):
                     i = driven[d]
-                    recorded = drawn(input_in, e, fx, j, k, after, n, d, step, substeps, hold, rate, o)
+                    recorded = drawn(input_in, e, fx, j, k, after, n, d, step, substeps, hold, rate, d, o)
                     pose = s_out.pose[r, i]
                     now = ForceState(Vec(recorded, o, o), real(1.0, o), pose, pose, zero)
                     effort = u_out.effort[e, i]

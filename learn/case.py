@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..sim.errors import InputError
 from ..sim.measured import MeasuredBranch
+from ..sim.strict_yaml import YamlFile
 from ..sim.tree import Array
 from .case_columns import Columns, check_clock, read_columns, resampled
 from .case_joints import JointSetup, check_joint_meta, joint_setup
@@ -24,7 +25,6 @@ from .case_schema import (
     GraspMeta,
     JointMeta,
     JointTrajectoryMeta,
-    YamlFile,
     read_meta,
 )
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from ..sim.errors import InputError
 from ..sim.files import read_text
+from ..sim.strict_yaml import nearest
 from ..sim.tree import Array
-from .case_schema import nearest
 
 MIN_ROWS = 3
 

@@ -8,7 +8,8 @@ from typing import Literal
 
 from ..sim.mjcf_bodies import Body, read_bodies
 from ..sim.mjcf_document import read_document
-from .case_schema import InputMeta, JointMeta, JointSpecMeta, YamlFile, OutputMeta, nearest
+from ..sim.strict_yaml import YamlFile, nearest
+from .case_schema import InputMeta, JointMeta, JointSpecMeta, OutputMeta
 
 
 @dataclass(frozen=True)

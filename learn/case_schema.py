@@ -6,26 +6,19 @@ is allowed. The format is described in ``docs``: ``branch-gap-case/1`` and ``joi
 
 from __future__ import annotations
 
-import difflib
-import re
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal
 
-import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic import BeforeValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
 
-from ..sim.errors import InputError
-from ..sim.files import read_text
+from ..sim.strict_yaml import Length, NotNegative, Positive, Strict, YamlFile, validated
 
 BRANCH_FORMAT, JOINT_FORMAT = "branch-gap-case/1", "joint-gap-case/1"
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-Length = Annotated[float, Field(gt=0, le=50)]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 Ordinal = Annotated[int, Field(ge=1)]
+
 
 class SegmentMeta(Strict):
     """One segment of a branch: solid, straight, tapered; angles of its axis in the rest pose."""
@@ -54,7 +47,7 @@ class BranchTrajectoryMeta(Strict):
     direction: Vector | None = None
     t_start_s: float
     replicate_of: Ordinal | None = None
-    no_contact: list[Annotated[list[float], Field(min_length=2, max_length=2)]] = []
+    no_contact: list[Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
     grasp: GraspMeta | None = None
 
 

@@ -32,6 +32,8 @@ class Identify:
         joints: Joints of a branch.
         infer: What is unknown of a branch; the rest keeps its typical value.
         shared: Kinds of unknowns that have one number for all joints.
+        model: model.yaml of this branch, such as bough diagnose writes: its effects act with the parameters given there
+            while springs and dampers are inferred.
         box: Bounds, NAME=LOW:HIGH in SI units, NAME a parameter or a kind: stiffness=5:200.
         cv: Cross-validate over the trajectories with this many folds; 0 holds a quarter out once.
         loss: Gaussian likelihood with inferred noise, or the thesis's norms of errors over a temperature.
@@ -49,6 +51,7 @@ class Identify:
     joints: Literal["spherical", "revolute"] = "spherical"
     infer: tuple[Literal["stiffness", "damping", "density", "rest_angle"], ...] = ("stiffness", "damping")
     shared: tuple[Literal["stiffness", "damping", "density", "rest_angle"], ...] = ()
+    model: Path | None = None
     box: tuple[str, ...] = ()
     cv: int = 0
     loss: Literal["gaussian", "published"] = "gaussian"
@@ -73,7 +76,7 @@ class Identify:
         says = dict(zip(("modes", "particles", "prediction"), stages, strict=True))
         with bars(stages) as advance:
             outcome = identify(
-                self.case, self.out, settings, resume=self.resume,
+                self.case, self.out, settings, model=self.model, resume=self.resume,
                 progress=lambda stage, done: advance(says[stage], done),
             )  # fmt: skip
         for line in outcome.case.warnings:

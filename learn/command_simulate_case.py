@@ -28,13 +28,10 @@ def simulate_case(options: Simulate) -> int:
         for line in case.warnings:
             warn(line)
         start_warp()
-        from .model_file import check_fits, read_model
+        from .model_file import model_of
         from .replay import case_figure, replay  # torch and Warp, after what is quick to refuse
 
-        model = None
-        if options.model is not None:
-            model = read_model(options.model)
-            check_fits(model, case, options.model)
+        model = None if options.model is None else model_of(options.model, case)
         trajectory, grasp = replay(options, case, model)
         trajectory.save(folder / "trajectory.npz", grasp_displacement=grasp)
         case_figure(case, trajectory.time, grasp, "" if model is None else model.name).savefig(
@@ -49,3 +46,5 @@ def _refuse_start(options: Simulate) -> None:
         if value is not None:
             allowed = "only with a file: a case starts at rest, one world for each recording"
             raise InputError(name, "", str(value), allowed)
+    if options.effect:
+        raise InputError("--effect", "", options.effect[0], "only with a file: a case's effects stand in --model")

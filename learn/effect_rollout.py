@@ -146,7 +146,7 @@ def _branch_arguments(rollout: Rollout) -> list[Any]:
     if plant.acting.persists:
         offset[:] = [starts.index(r.t_start) * longest if r.t_start in starts else -1 for r in sequence]
     held = [plant.first + _grasp(r)[0] for r in sequence]
-    inputs = _stacked([np.column_stack([r.input, r.contact.astype(np.float64)]) for r in sequence])
+    inputs = _stacked([_felt(r) for r in sequence])
     return [
         wp.array([int(m.link_place[i]) for i in held], dtype=int, device=device),
         wp.array(np.stack([_grip(rollout, r) for r in sequence]), dtype=wp.float64, device=device),
@@ -157,6 +157,12 @@ def _branch_arguments(rollout: Rollout) -> list[Any]:
         wp.array(offset, dtype=int, device=device),
         wp.array(inputs, dtype=wp.float64, device=device),
     ]
+
+
+def _felt(r: Recording) -> Array:
+    """Force [N], whether the gripper holds, what the sensor read [N], and that it read anything, shape [T, 8]."""
+    sensed = r.input if r.sensed is None else r.sensed
+    return np.column_stack([r.input, r.contact.astype(np.float64), sensed, np.ones(len(r.t))])
 
 
 def history(rollout: Rollout) -> list[Recording]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -16,9 +16,11 @@ from .. import __version__
 from ..sim.errors import InputError
 from ..sim.files import output_folder
 from ..sim.tree import Array
+from .acting import Acting
 from .case import BranchCase, JointCase, load_case
 from .checkpoint import Checkpoint, digest
 from .equation_error import noise_of, recordings_of, thinned
+from .model_file import model_of
 from .noise import NoiseEstimate
 from .plant_branch import Joints, Kind, Unknowns
 from .plants import plant_of
@@ -49,6 +51,7 @@ class Settings:
         cv: Folds of a cross-validation over the trajectories; 0 holds some out once.
         loss: Likelihood, see `Target`.
         temperature: Of the published loss, kT.
+        effects: Effects that act; parameters that they leave open are inferred too.
     """
 
     particles: int = 64
@@ -63,11 +66,12 @@ class Settings:
     cv: int = 0
     loss: Loss = "gaussian"
     temperature: float = 0.01
+    effects: tuple[Acting, ...] = ()
 
     @property
     def unknowns(self) -> Unknowns:
         """What is unknown."""
-        return Unknowns(self.joints, self.infer, self.shared, self.box)
+        return Unknowns(self.joints, self.infer, self.shared, self.box, self.effects)
 
     @property
     def priors(self) -> tuple[str, ...]:
@@ -321,16 +325,19 @@ def _check_box(case: BranchCase | JointCase, posterior: Posterior) -> None:
 
 
 def identify(
-    folder: str | Path, out: str | Path, settings: Settings, *, resume: bool = False,
+    folder: str | Path, out: str | Path, settings: Settings, *, model: str | Path | None = None, resume: bool = False,
     progress: Progress = lambda s, d: None,
 ) -> Outcome:  # fmt: skip
     """Identify the case in ``folder`` and write posterior, report and figures into ``out``.
+
+    The effects of ``model``, a ``model.yaml`` of the same branch, act with the parameters that it gives; its springs
+    and dampers are not used.
 
     What has been reached is kept in a hidden folder beside ``out`` until the run ends, so that ``resume`` goes on with
     a killed one to the same bits (on one machine's CPU).
 
     Raises:
-        InputError: The case or the settings cannot be used; nothing is written then.
+        InputError: The case, the settings or the model cannot be used; nothing is written then.
     """
     from .identify_report import content, summary
     from .report import write_report
@@ -339,7 +346,9 @@ def identify(
     with output_folder(target) as work:
         case = load_case(folder)
         settings.check()
-        keep = Checkpoint(target.absolute().parent / f".{target.name}.unfinished", _key(case, settings))
+        if model is not None:
+            settings = replace(settings, effects=model_of(model, case).effects)
+        keep = Checkpoint(target.absolute().parent / f".{target.name}.unfinished", _key(case, settings, model))
         keep.open(resume)
         try:
             with one_thread():
@@ -354,6 +363,7 @@ def identify(
     return outcome
 
 
-def _key(case: BranchCase | JointCase, settings: Settings) -> str:
+def _key(case: BranchCase | JointCase, settings: Settings, model: str | Path | None) -> str:
     earlier = [Path(p).read_bytes() for p in settings.prior if p.endswith(".npz") and Path(p).is_file()]
-    return digest(case.folder, settings, earlier, __version__)
+    given = None if model is None else Path(model).read_bytes()
+    return digest(case.folder, settings, earlier, given, __version__)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from .figures import (
     prediction_figure,
     residual_figure,
 )
-from .identify import Outcome
+from .identify import Outcome, Settings
 from .predict import main_channels
 from .report import KeyNumber, ParameterRow, ReportContent, ReportFigure
 
@@ -84,13 +84,18 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         "coverage_curve": {f"{q:.2f}": p.coverage_at(q) for q in NOMINAL},
         "world_steps": outcome.world_steps,
         "seconds": outcome.seconds,
-        "settings": asdict(outcome.settings),
+        "settings": _settings(outcome.settings),
         "version": __version__,
         "machine": describe(),
     }
     if unit == "rad":
         out |= {f"{name}_deg": math.degrees(value) for name, value in scores.items()}
     return out
+
+
+def _settings(s: Settings) -> dict[str, Any]:
+    effects = [{"name": a.name, "joint": a.joint, "parameters": dict(a.known)} for a in s.effects]
+    return asdict(replace(s, effects=())) | {"effects": effects}
 
 
 def _by_channel(outcome: Outcome) -> dict[str, float]:
@@ -152,7 +157,7 @@ def content(outcome: Outcome) -> ReportContent:
         title=f"Identification of {outcome.case.name}",
         headline=text,
         status=status,  # type: ignore[arg-type]
-        numbers=numbers,
+        numbers=[*numbers, *_acting(outcome.settings)],
         parameters=[ParameterRow(n, float(m), float(a), float(b), u) for n, m, a, b, u in rows],
         figures=_figures(outcome, scale, unit),
         details={
@@ -168,6 +173,14 @@ def content(outcome: Outcome) -> ReportContent:
             ("report.json", "every number on this page"),
         ],
     )
+
+
+def _acting(s: Settings) -> list[KeyNumber]:
+    """Return a line on the effects that act, none where none does."""
+    if not s.effects:
+        return []
+    told = [f"{a.label} ({', '.join(f'{k} {v:.4g}' for k, v in a.known.items()) or 'inferred'})" for a in s.effects]
+    return [KeyNumber("Effects that act", str(len(told)), "", f"Beside springs and dampers: {', '.join(told)}.")]
 
 
 def _notes(outcome: Outcome) -> list[str]:

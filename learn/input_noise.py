@@ -12,6 +12,8 @@ whitened by e = (1 - U (1 - (1 + S^2)^-1/2) U^T) D^-1 r.
 The recorded force holds its own noise, so |e|^2 / 2 also contains the noise that each parameter vector lets through,
 tr((D^2 + B B^T)^-1 B' B'^T) / 2 in the mean with B' its own response. Vectors that let less through would win by that;
 its slope is taken out (errors in variables: the profile likelihood over the true force has it too, to first order).
+
+Noise is taken to do no damage: effects whose damage lasts from one recording to the next are left out of the response.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ import torch
 
 from ..sim.tree import Array
 from .case import BranchCase
-from .plant_branch import Unknowns
+from .plant_branch import BranchPlant, Unknowns
 from .rollout import Recording, Rollout
 
 #: Moments of a recording at which a pulse is simulated; between them the earlier one's response is shifted.
@@ -89,6 +91,7 @@ def input_colour(
         device: Warp device.
     """
     sets = values[None] if nearby is None else torch.cat([values[None], nearby])
+    unknowns, sets = _undamaged(case, unknowns, sets)
     axes = np.flatnonzero(force_sigma > 0.0)
     pulsed, step = [], 5.0 * float(force_sigma.max())
     moments = [_moments(len(r.t)) for r in chosen]
@@ -109,6 +112,18 @@ def input_colour(
                 power[k - 1] += _power(*parts[-1], scaled)
         first = pulses.stop
     return _stacked(parts, power)
+
+
+def _undamaged(case: BranchCase, unknowns: Unknowns | None, sets: torch.Tensor) -> tuple[Unknowns | None, torch.Tensor]:
+    """Return unknowns and parameters [S, n] without the effects whose damage lasts."""
+    plant = BranchPlant(case, unknowns)
+    if not plant.acting.persists:
+        return unknowns, sets
+    gone = [a for a in plant.unknowns.effects if plant.acting.laws[a.name].persistent]
+    starts = tuple(f"{a.label} " for a in gone)
+    columns = [k for k, p in enumerate(plant.parameters) if not p.name.startswith(starts)]
+    kept = tuple(a for a in plant.unknowns.effects if a not in gone)
+    return replace(plant.unknowns, effects=kept, box=()), sets[:, columns]
 
 
 def _moments(length: int) -> Array:

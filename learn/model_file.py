@@ -1,59 +1,24 @@
-"""``model.yaml``: a branch's springs and dampers, and the effects that it was found to have.
+"""A model of a branch as `sim.branch_file` reads it from ``model.yaml``, for the case that it is used with.
 
-    format: branch-model/1
-    name: branch_7
-    segments:
-      - {name: parent, stiffness_Nmprad: 74.2, damping_Nmsprad: 1.31}
-      - {name: child, stiffness_Nmprad: 15.1, damping_Nmsprad: 0.27}
-    effects:
-      - {name: dry_friction, joint: 1, parameters: {torque_Nm: 0.21}}
-
-Geometry, masses and gravity are those of the case that it is used with; ``segments`` must have its names, base first.
+Masses and gravity are the case's; so is the geometry, and a file that states another one does not fit.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
 import yaml
-from pydantic import Field
 
-from ..sim.effects import Setting, effect_of
+from ..sim.branch_file import FORMAT, GEOMETRY, read_branch_file
 from ..sim.errors import InputError
 from ..sim.tree import Array
-from .acting import Acting, ActingSet
-from .case import BranchCase
-from .case_schema import MetaFile, NotNegative, Positive, Strict, validated
+from .acting import Acting
+from .case import BranchCase, JointCase
 
-FORMAT = "branch-model/1"
-
-
-class SegmentModel(Strict):
-    """Spring and damper at the lower end of a segment."""
-
-    name: str
-    stiffness_Nmprad: Positive  # noqa: N815
-    damping_Nmsprad: NotNegative  # noqa: N815
-
-
-class EffectModel(Strict):
-    """An effect with all its parameters; ``joint`` counts from the base, null where it is not at a joint."""
-
-    name: str
-    joint: Annotated[int, Field(ge=0)] | None = None
-    parameters: dict[str, float]
-
-
-class ModelMeta(Strict):
-    """The keys of ``model.yaml``."""
-
-    format: Literal["branch-model/1"]
-    name: str
-    segments: Annotated[list[SegmentModel], Field(min_length=1)]
-    effects: tuple[EffectModel, ...] = Field(default=(), strict=False)
+#: Lengths and radii that differ by less than this share are the same: a file may have been written with fewer digits.
+SAME = 1e-4
 
 
 @dataclass(frozen=True)
@@ -66,6 +31,7 @@ class BranchModel:
         stiffness: Springs [N m/rad], shape [R].
         damping: Dampers [N m s/rad], shape [R].
         effects: Effects; all their parameters are known.
+        size: Length, radius of the lower and of the upper end of every segment [m], shape [R, 3]; None if not known.
     """
 
     name: str
@@ -73,30 +39,24 @@ class BranchModel:
     stiffness: Array
     damping: Array
     effects: tuple[Acting, ...] = ()
+    size: Array | None = None
 
 
 def read_model(path: str | Path) -> BranchModel:
     """Read a ``model.yaml``.
 
     Raises:
-        InputError: The file is missing or no YAML, has unknown or missing keys or values that cannot be, names an
-            unknown effect, or leaves out one of an effect's parameters.
+        InputError: See `sim.branch_file.read_branch_file`.
     """
-    file = MetaFile(Path(path), FORMAT)
-    meta = validated(file, ModelMeta)
-    acting = []
-    for i, item in enumerate(meta.effects):
-        law = effect_of(item.name, str(path)).law("branch")
-        for spec in law.parameters:
-            if spec.name not in item.parameters:
-                here: list[str | int] = ["effects", i, "parameters"]
-                raise file.error(here, f"no {spec.name}", ", ".join(p.name for p in law.parameters))
-        acting.append(Acting(item.name, item.joint, dict(item.parameters)))
-    model = BranchModel(meta.name, tuple(s.name for s in meta.segments),
-                        np.array([s.stiffness_Nmprad for s in meta.segments]),
-                        np.array([s.damping_Nmsprad for s in meta.segments]), tuple(acting))  # fmt: skip
-    ActingSet(acting, "branch", [Setting()] * len(model.stiffness), str(path))
-    return model
+    file = read_branch_file(path)
+    return BranchModel(
+        file.name,
+        tuple(s.name for s in file.segments),
+        np.array([s.stiffness_Nmprad for s in file.segments]),
+        np.array([s.damping_Nmsprad for s in file.segments]),
+        tuple(Acting(e.name, e.joint, dict(e.parameters)) for e in file.effects),
+        None if file.sizes is None else np.array(file.sizes),
+    )
 
 
 def write_model(path: str | Path, model: BranchModel) -> None:
@@ -105,14 +65,38 @@ def write_model(path: str | Path, model: BranchModel) -> None:
         {"name": n, "stiffness_Nmprad": float(k), "damping_Nmsprad": float(d)}
         for n, k, d in zip(model.segment_name, model.stiffness, model.damping, strict=True)
     ]
+    if model.size is not None:
+        for segment, row in zip(segments, model.size, strict=True):
+            segment.update(zip(GEOMETRY, map(float, row), strict=True))
     acting = [{"name": a.name, "joint": a.joint, "parameters": {k: float(v) for k, v in a.known.items()}}
               for a in model.effects]  # fmt: skip
     content = {"format": FORMAT, "name": model.name, "segments": segments, "effects": acting}
     Path(path).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
 
+def model_of(path: str | Path, case: BranchCase | JointCase) -> BranchModel:
+    """Read the model of a case.
+
+    Raises:
+        InputError: The case is one of joints, the file is faulty, or it is another branch's.
+    """
+    if not isinstance(case, BranchCase):
+        raise InputError("--model", "", f"{path} with a case of joints", "only with a branch (branch-gap-case/1)")
+    model = read_model(path)
+    check_fits(model, case, path)
+    return model
+
+
 def check_fits(model: BranchModel, case: BranchCase, source: str | Path) -> None:
-    """Raise `InputError` where a model's segments are not the case's."""
+    """Raise `InputError` where a model's segments are not the case's: other names, or other lengths and radii."""
     if model.segment_name != case.segment_name:
         found = f"{', '.join(model.segment_name)}"
         raise InputError(source, "segments", found, f"the case's, base first: {', '.join(case.segment_name)}")
+    if model.size is None:
+        return
+    own = np.column_stack([case.length, case.radius])
+    other = np.argwhere(~np.isclose(model.size, own, rtol=SAME, atol=0.0))
+    if len(other):
+        i, c = other[0].tolist()
+        place, found = f"segments, {model.segment_name[i]} {GEOMETRY[c]}", f"{model.size[i, c]:g}"
+        raise InputError(source, place, found, f"the case's, {own[i, c]:g}")

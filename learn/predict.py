@@ -187,5 +187,5 @@ def first_moments(recording: Recording, seconds: float) -> Recording:
     n = max(4, int(np.searchsorted(recording.t, recording.t[0] + seconds)))
     return replace(
         recording, t=recording.t[:n], input=recording.input[:n], output=recording.output[:n],
-        contact=recording.contact[:n],
+        contact=recording.contact[:n], sensed=None if recording.sensed is None else recording.sensed[:n],
     )  # fmt: skip

@@ -37,6 +37,7 @@ class Recording:
         contact: Whether the gripper may hold the branch, so that the force is a measurement, shape [T].
         grasp: Link that is held and the grasp point in its body frame [m]; None where joints are driven.
         t_start: When it starts on the case's absolute clock [s].
+        sensed: What a branch's force sensor read, gripper open or not [N], shape [T, 3]; None: the same as ``input``.
     """
 
     t: Array
@@ -46,6 +47,7 @@ class Recording:
     contact: NDArray[np.bool_]
     grasp: tuple[int, Array] | None = None
     t_start: float = 0.0
+    sensed: Array | None = None
 
 
 def recordings(case: BranchCase | JointCase) -> list[Recording]:
@@ -53,7 +55,7 @@ def recordings(case: BranchCase | JointCase) -> list[Recording]:
     if isinstance(case, BranchCase):
         return [
             Recording(t.t, np.where(t.no_contact[:, None], 0.0, t.force), np.hstack([t.displacement, t.velocity]),
-                      np.zeros((0, 2)), ~t.no_contact, t.grasp, t.t_start)
+                      np.zeros((0, 2)), ~t.no_contact, t.grasp, t.t_start, t.force)
             for t in case.trajectories
         ]  # fmt: skip
     return [

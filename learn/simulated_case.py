@@ -148,7 +148,7 @@ def _meta(meta: dict[str, Any], e: Experiment, items: list[dict[str, Any]], name
 def _simulate(case: Any, rows: list[Array], truth: dict[str, Array], unknowns: Unknowns | None) -> Array:
     """Clean channels [trajectories, T, 6]."""
     chosen = [
-        Recording(t.t, r[:, 1:4], r[:, 4:], np.zeros((0, 2)), ~t.no_contact, t.grasp)
+        Recording(t.t, r[:, 1:4], r[:, 4:], np.zeros((0, 2)), ~t.no_contact, t.grasp, t.t_start)
         for t, r in zip(case.trajectories, rows, strict=True)
     ]
     values = torch.tensor(np.concatenate([truth["stiffness"], truth["damping"]]))[None]

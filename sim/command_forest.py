@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from .console import bar, shown, start_warp
+from .console import bar, shown, start_warp, warn
 from .errors import InputError
 from .files import output_folder
 
 if TYPE_CHECKING:
+    from .posterior_stiffness import SpringPosterior
     from .tree import Tree
 
 Format = Literal["mjcf", "urdf", "glb", "usd"]
@@ -41,6 +42,8 @@ class Forest:
             beam.
         posterior: posterior.npz of an identified branch, instead of a stiffness model: each tree draws one of its
             particles.
+        model: model.yaml of a branch with lengths and radii, such as bough diagnose writes, instead of a stiffness
+            model: every tree is of its wood. Effects are no part of a tree's file.
         format: Kinds of file to write for every tree: tree_0000.xml, .urdf, .glb, .usda.
         seed: Seed of the noise; tree i depends on it and on i alone.
         picture_width: Width of forest.png [pixels]; 0 draws none.
@@ -54,6 +57,7 @@ class Forest:
     noise: float = 0.1
     stiffness: Literal["rudimentary", "beam"] | None = None
     posterior: Path | None = None
+    model: Path | None = None
     format: tuple[Format, ...] = ("mjcf",)
     seed: int = 0
     picture_width: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 1600
@@ -79,8 +83,8 @@ def write_forest(options: Forest) -> list[Tree]:
     """Grow and write a forest, whole or not at all; return its trees.
 
     Raises:
-        InputError: An option out of range, a faulty L-system file or posterior, a folder that cannot be written, a
-            format whose package is missing.
+        InputError: An option out of range, a faulty L-system file, posterior or model, a folder that cannot be written,
+            a format whose package is missing.
     """
     _check(options)
     options = _settled(options)
@@ -117,8 +121,10 @@ def _check(options: Forest) -> None:
     need(width == 0 or 64 <= width <= 8192, "--picture-width", width, "0 for no picture, or 64 to 8192")
     both = options.species is not None and options.lsystem is not None
     need(not both, "--lsystem", f"{options.lsystem} and --species {options.species}", "one of the two")
-    both = options.posterior is not None and options.stiffness is not None
-    need(not both, "--posterior", f"{options.posterior} and --stiffness {options.stiffness}", "one of the two")
+    given = {f"--{name}": getattr(options, name) for name in ("posterior", "model", "stiffness")}
+    chosen = [name for name, value in given.items() if value is not None]
+    for other in chosen[1:]:
+        need(False, chosen[0], f"{given[chosen[0]]} and {other} {given[other]}", "one of the two")
 
 
 def _grower(options: Forest) -> Callable[[int], tuple[Tree, dict[str, int]]]:
@@ -126,7 +132,6 @@ def _grower(options: Forest) -> Callable[[int], tuple[Tree, dict[str, int]]]:
     import numpy as np
 
     from .lsystem import LSystem
-    from .posterior_stiffness import SpringPosterior
     from .species import grow_system, species_system
 
     if options.lsystem is not None:
@@ -134,7 +139,7 @@ def _grower(options: Forest) -> Callable[[int], tuple[Tree, dict[str, int]]]:
     else:
         system = species_system(options.species or "")
         label = system.source
-    posterior = None if options.posterior is None else SpringPosterior.from_file(options.posterior)
+    springs = _springs(options)
 
     def grow_one(i: int) -> tuple[Tree, dict[str, int]]:
         seed = np.random.SeedSequence(options.seed, spawn_key=(i,))
@@ -142,12 +147,30 @@ def _grower(options: Forest) -> Callable[[int], tuple[Tree, dict[str, int]]]:
             system, name=f"{label}_{i:04d}", iterations=options.order, noise=options.noise, seed=seed,
             stiffness=options.stiffness or "beam",
         )  # fmt: skip
-        if posterior is None:
+        if springs is None:
             return tree, {}
-        particle = posterior.draw(np.random.SeedSequence(options.seed, spawn_key=(i, 0)))
-        return posterior.apply(tree, particle), {"particle": particle}
+        if options.model is not None:
+            return springs.apply(tree, 0), {}
+        particle = springs.draw(np.random.SeedSequence(options.seed, spawn_key=(i, 0)))
+        return springs.apply(tree, particle), {"particle": particle}
 
     return grow_one
+
+
+def _springs(options: Forest) -> SpringPosterior | None:
+    """Read what a branch's springs are; say in one line which of its effects the trees will not have."""
+    from .posterior_stiffness import SpringPosterior
+
+    if options.model is not None:
+        found = SpringPosterior.from_model(options.model)
+    elif options.posterior is not None:
+        found = SpringPosterior.from_file(options.posterior)
+    else:
+        return None
+    if found.left_out:
+        effects = ", ".join(found.left_out)
+        warn(f"{options.model or options.posterior}: left out: {effects}: trees have springs and dampers alone")
+    return found
 
 
 def _write_tree(tree: Tree, stem: Path, formats: tuple[Format, ...]) -> None:
@@ -204,9 +227,9 @@ def _plain(options: Forest) -> dict[str, Any]:
 def _settled(options: Forest) -> Forest:
     """Return the options with the defaults that depend on others.
 
-    Ta of order 2 where there is no L-system file, rudimentary springs where there is no posterior.
+    Ta of order 2 where there is no L-system file, rudimentary springs where there is neither posterior nor model.
     """
-    if options.posterior is None:
+    if options.posterior is None and options.model is None:
         options = replace(options, stiffness=options.stiffness or "rudimentary")
     if options.lsystem is not None:
         return options

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -48,6 +49,8 @@ class Simulate:
         precision: Bits of a number: 64 to compare with MuJoCo, 32 for speed.
         device: Warp device, such as cpu or cuda:0; Warp's first choice if not given.
         seed: Seed of --bend.
+        effect: An effect that acts in all worlds alike, NAME:PARAMETER=VALUE[,PARAMETER=VALUE...] in SI units, such as
+            dry_friction:torque_Nm=0.05; once for each effect. Laws at joints act at all of them, tip_mass at all tips.
     """
 
     source: tyro.conf.Positional[Path]
@@ -62,6 +65,7 @@ class Simulate:
     precision: Literal[32, 64] = 64
     device: str | None = None
     seed: int = 0
+    effect: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
 
     def run(self) -> int:
         """Simulate a file, say what was written and return 0, or 3 where no world reached the end."""
@@ -97,13 +101,16 @@ def simulate_file(options: Simulate) -> Trajectory:
         raise InputError("--model", "", str(options.model), "only with a case folder")
     with output_folder(options.out) as folder:
         start_warp()
+        from .effect_option import read_effects
+
+        effects = read_effects(options.effect)
         mechanism = load_mechanism(options.source)
         for line in mechanism.ignored:
             warn(f"{options.source}: left out: {line}")
         steps = steps_of(options, 2.0 if options.seconds is None else options.seconds)
         check_memory(options, steps, options.worlds or 1, mechanism.tree.num_links)
         rows = start_rows(options, mechanism)
-        simulator = make_simulator(options, mechanism.tree, mechanism.gravity, len(rows))
+        simulator = make_simulator(options, mechanism.tree, mechanism.gravity, len(rows), effects)
         _set_start(options, simulator, rows)
         advise(options, simulator)
         from .figures import trajectory_figure
@@ -186,11 +193,13 @@ def check_memory(options: Simulate, steps: int, worlds: int, links: int) -> None
         raise InputError("--worlds, --seconds, --dt", "", found, f"what fits into {there / 2**30:.1f} GiB")
 
 
-def make_simulator(options: Simulate, tree: Tree, gravity: Array, worlds: int) -> Simulator:
-    """Return a simulator of ``worlds`` copies of the tree.
+def make_simulator(
+    options: Simulate, tree: Tree, gravity: Array, worlds: int, effects: Mapping[str, Mapping[str, float]] | None = None
+) -> Simulator:
+    """Return a simulator of ``worlds`` copies of the tree, with effects of these values in all of them.
 
     Raises:
-        InputError: There is no such device, or the tree cannot move.
+        InputError: There is no such device, the tree cannot move, or an effect that it cannot have.
     """
     import warp as wp
 
@@ -203,7 +212,11 @@ def make_simulator(options: Simulate, tree: Tree, gravity: Array, worlds: int) -
         raise InputError("--device", "", repr(options.device), ", ".join(d.alias for d in wp.get_devices())) from None
     with bar("preparing (the first run compiles kernels)", None):
         model = Model([tree] * worlds, gravity=gravity, device=device, precision=options.precision)
-        return Simulator(model, dt=options.dt, substeps=options.substeps)
+        simulator = Simulator(model, dt=options.dt, substeps=options.substeps, effects=tuple(effects or {}))
+    for name, values in (effects or {}).items():
+        for parameter, value in values.items():
+            simulator.effects.fill(name, parameter, value)
+    return simulator
 
 
 # ---- the start ---------------------------------------------------------------------------------------------------

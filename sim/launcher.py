@@ -53,7 +53,7 @@ class Launcher:
         self._rows = model.groups if cuda else 1 + self._stride * (self.threads - 1)
         cuts = np.linspace(0, model.groups, self.threads + 1).astype(int)
         self._ranges = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
-        self._fields = {name: self._field(kind) for name, kind in _SCRATCH.items()}
+        self._fields = {name: self.field(kind) for name, kind in _SCRATCH.items()}
         self.scratch = layout_of(model.width, model.precision).Scratch()
         for name, field in self._fields.items():
             setattr(self.scratch, name, field.kernel)
@@ -63,7 +63,8 @@ class Launcher:
         """Bytes of the smallest field's row: one real a place."""
         return (model.places + 1) * model.width * model.precision // 8
 
-    def _field(self, kind: str) -> LaneArray:
+    def field(self, kind: str) -> LaneArray:
+        """Return a zeroed working array, a row a thread on a CPU and a row a group on a GPU."""
         m = self.model
         return LaneArray(kind, self._rows, m.places + 1, width=m.width, precision=m.precision, device=self.device)
 

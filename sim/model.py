@@ -35,6 +35,7 @@ class Model:
         arrays: The fields of `kernels.layout` Model as `LaneArray`, by name.
         kernel: The Warp struct that kernels take.
         links: The host parameters behind the arrays.
+        freedom: How the trees of each group are held, 0, 1 or 2 as in `kernels.momentum`, shape [groups].
         has_free_trees: Whether any tree is held by nothing, so that its momentum is kept (`kernels.momentum`).
     """
 
@@ -109,6 +110,7 @@ class Model:
         layout: Layout = self._layout
         self.groups, self.places = len(layout.count), layout.parent.shape[1] - 1
         self.world_slot: IntArray = layout.world_slot
+        self.freedom: IntArray = layout.free
         self.link_place: IntArray = np.concatenate(layout.place)
         self.link_slot: IntArray = layout.world_slot[self.links.world]
         counts = [t.num_links for t in self.trees]
@@ -117,7 +119,7 @@ class Model:
     def _allocate(self) -> None:
         t = layout_of(self.width, self.precision)
         self.kernel = t.Model()
-        self.has_free_trees = bool(self._layout.free.any())
+        self.has_free_trees = bool(self.freedom.any())
         self._integers = {name: self._int(getattr(self._layout, name)) for name in ("count", "free")}
         self._integers |= self._arrivals()
         for name in ("parent", "kind"):

@@ -1,18 +1,19 @@
-"""Springs and dampers of a grown tree from what was inferred of a measured branch.
+"""Springs and dampers of a grown tree from what was inferred of a measured branch, or from a model of it.
 
 A particle of the posterior holds K and D of every joint of the branch. The beam model (thesis, equation 4.2) turns them
 into two properties of wood at R radii: the effective Young's modulus E_i = 2 K_i l_i / (pi r_i^4) and the relaxation
 time tau_i = D_i / K_i, with length l_i and mean radius r_i of segment i. Each link of a tree takes E and tau at its own
 radius, linear in log radius between the segments and constant outside them, and the beam model turns them back into K
 and D with the link's length and radius. One particle makes one tree, so that the correlations between the joints of
-the branch survive within a tree and the spread over a forest is the posterior's.
+the branch survive within a tree and the spread over a forest is the posterior's. A ``model.yaml`` is taken as a
+posterior of one particle.
 """
 
 from __future__ import annotations
 
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,19 +37,21 @@ class SpringPosterior:
         radius: Different mean radii of the segments, rising [m], shape [N].
         young: Effective Young's modulus [Pa], shape [P, N].
         relaxation: Relaxation time D / K [s], shape [P, N].
+        left_out: Effects that the file has beside springs and dampers, such as ``dry_friction@1``: a tree has none.
     """
 
     radius: Array
     young: Array
     relaxation: Array
+    left_out: tuple[str, ...] = ()
 
     @classmethod
     def from_file(cls, path: str | Path) -> SpringPosterior:
-        """Read the ``posterior.npz`` that ``bough identify`` writes for a branch.
+        """Read the ``posterior.npz`` that ``bough identify`` or ``bough diagnose`` writes for a branch.
 
         Used are names [n], units [n] and particles [P, n] (SI), where a parameter is ``stiffness`` or ``damping`` of a
         segment (``stiffness child``) or of all joints (``stiffness``), and segment_name [R], segment_length_m [R],
-        segment_radius_m [R, 2]. Other parameters and arrays are left alone.
+        segment_radius_m [R, 2]. Other parameters and arrays are left alone; those of effects are named in ``left_out``.
 
         Raises:
             InputError: The file is missing or no such archive; there is no geometry (the posterior of joints measured
@@ -60,10 +63,45 @@ class SpringPosterior:
         names, length, radius = _geometry(file, data)
         stiffness = np.stack([_values(file, data, "stiffness", name) for name in names], axis=1)
         damping = np.stack([_values(file, data, "damping", name) for name in names], axis=1)
+        return cls.from_springs(length, radius, stiffness, damping, _effects(data["names"].tolist()))
+
+    @classmethod
+    def from_model(cls, path: str | Path) -> SpringPosterior:
+        """Read a ``model.yaml`` (`branch_file`), one particle; its effects are named in ``left_out``.
+
+        Raises:
+            InputError: The file is faulty, does not give the segments' sizes, or has a joint without a damper.
+        """
+        from .branch_file import GEOMETRY, read_branch_file
+
+        file = read_branch_file(path)
+        if file.sizes is None:
+            allowed = f"{', '.join(GEOMETRY)} of every segment, as bough diagnose writes them"
+            raise InputError(path, "segments", f"no {GEOMETRY[0]}", allowed)
+        stiffness = np.array([[s.stiffness_Nmprad for s in file.segments]])
+        damping = np.array([[s.damping_Nmsprad for s in file.segments]])
+        names = [s.name for s in file.segments]
+        _check_numbers(Path(path), "segments", damping, lambda i: f"{names[i[1]]} damping_Nmsprad")
+        length, *radius = np.array(file.sizes).T
+        return cls.from_springs(length, np.mean(radius, axis=0), stiffness, damping, [e.label for e in file.effects])
+
+    @classmethod
+    def from_springs(
+        cls, length: Array, radius: Array, stiffness: Array, damping: Array, left_out: Sequence[str] = ()
+    ) -> SpringPosterior:
+        """Return the wood of segments of given length and mean radius [m], shapes [R].
+
+        Args:
+            length: Of the segments.
+            radius: Of the segments.
+            stiffness: K [N m/rad], shape [P, R].
+            damping: D [N m s/rad], shape [P, R].
+            left_out: See the class.
+        """
         young = 2.0 * stiffness * length / (np.pi * radius**4)
         distinct, group = np.unique(radius, return_inverse=True)
         mean = np.equal.outer(group, np.arange(len(distinct))) / np.bincount(group)
-        return cls(distinct, young @ mean, (damping / stiffness) @ mean)
+        return cls(distinct, young @ mean, (damping / stiffness) @ mean, tuple(left_out))
 
     def draw(self, seed: np.random.SeedSequence | int) -> int:
         """Draw the index of a particle, all equally likely."""
@@ -149,6 +187,17 @@ def _values(file: Path, data: dict[str, np.ndarray], kind: str, segment: str) ->
     values: Array = particles[:, column[0]].astype(np.float64)
     _check_numbers(file, "particles", values, lambda i: f"particle {i[0]}, {names[column[0]]}")
     return values
+
+
+def _effects(names: Sequence[str]) -> list[str]:
+    """Return the effects among the parameters, each once: ``dry_friction@1`` of ``dry_friction@1 torque_Nm``."""
+    labels = list(dict.fromkeys(name.split(" ")[0] for name in names if name.split(" ")[0] not in _UNIT))
+    if not labels:
+        return []
+    from .effects import effects  # Warp, which springs alone do not need
+
+    known = {e.name for e in effects()}
+    return [label for label in labels if label.split("@")[0] in known]
 
 
 def _check_numbers(file: Path, name: str, values: Array, place: Callable[[tuple[int, ...]], str]) -> None:

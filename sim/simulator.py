@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from ..kernels.step import step_kernels
 from . import rotation
 from .arrays import integer_array
 from .errors import InputError
+from .forest_effects import ForestEffects
 from .launcher import Launcher
 from .load import Load
 from .model import Model
@@ -32,6 +34,8 @@ class Simulator:
 
     Attributes:
         model, state: The worlds.
+        effects: Parameters of the effects that act, ``effects[name][parameter]``, torch tensors to be written in place,
+            [worlds, links] (laws at joints, masses at links' ends) or [worlds]; neutral at first (`ForestEffects`).
         dt: Length of one call of `step` [s], taken in ``substeps`` equal parts.
         position, rotation: Body frames of all worlds after `observe`, torch views [worlds, links, 3] in m and
             [worlds, links, 4] as w, x, y, z; links in the order of each world's tree.
@@ -48,6 +52,7 @@ class Simulator:
         substeps: int = 1,
         threads: int | None = None,
         max_speed: float | None = None,
+        effects: Sequence[str] = (),
     ) -> None:
         """Allocate everything that stepping needs.
 
@@ -57,9 +62,11 @@ class Simulator:
             substeps: Equal parts that a step is taken in.
             threads: CPU threads; None takes all cores.
             max_speed: Joint speed [rad/s or m/s] at which the guard freezes a world; None takes half a turn a substep.
+            effects: Names of effects (`bough.sim.effects`) that the step is built with. Without any it is the plain
+                step.
 
         Raises:
-            InputError: ``dt``, ``substeps`` or ``max_speed`` is not positive.
+            InputError: ``dt``, ``substeps`` or ``max_speed`` is not positive; an effect that a forest cannot have.
         """
         for name, value in (("dt", dt), ("substeps", substeps), ("max_speed", 1.0 if max_speed is None else max_speed)):
             if not (math.isfinite(value) and value > 0):
@@ -68,10 +75,11 @@ class Simulator:
         self.dt, self.substeps = float(dt), int(substeps)
         self.max_speed = math.pi * substeps / dt if max_speed is None else float(max_speed)
         self._launcher = Launcher(model, threads)
+        self.effects = ForestEffects(model, self._launcher, effects)
         self._kernels = step_kernels(model.width, model.precision, model.has_free_trees)
         self._steps: dict[tuple[int, bool], Callable[[], None]] = {}
         self._looking: dict[bool, Callable[[], None]] = {}
-        self._load: Load | None = None
+        self._load: Load | None = Load(model) if effects else None
         self._index_slots()
         self._allocate_outputs()
         self._start = {name: model.field(kind) for name, kind in (("coordinate", "Quat"), ("velocity", "Vec"))}
@@ -114,13 +122,14 @@ class Simulator:
         struct = layout_of(self.model.width, self.model.precision).Model()
         for name in self.model.kernel._cls.vars:
             setattr(struct, name, getattr(self.model.kernel, name))
-        struct.damping, struct.limit = self._damping.kernel, self._limit.kernel
+        struct.damping, struct.limit = self.effects.bind(self._damping).kernel, self._limit.kernel
         return struct
 
     @property
     def nbytes(self) -> int:
         """Bytes of state and parameters on the device, scratch included."""
-        return self.model.nbytes + self.state.nbytes + self._damping.nbytes + self._limit.nbytes + self._launcher.nbytes
+        own = self._damping.nbytes + self._limit.nbytes + self._launcher.nbytes + self.effects.nbytes
+        return self.model.nbytes + self.state.nbytes + own
 
     # ---- stepping ------------------------------------------------------------------------------------------------
 
@@ -133,12 +142,14 @@ class Simulator:
         self._limit.torch.fill_(self.max_speed)
         for judge in self._judges:
             judge()
+        self._note_rest()
 
     def _prepare_judges(self) -> list[Callable[[], None]]:
         """Return launches that judge stability at the springs' rest and at the present pose."""
         kernel = damping_kernel(self.model.width, self.model.precision)
         after = [self.dt / self.substeps, self.MARGIN, self._damping.kernel, self._limit.kernel]
         self._rest = State(self.model)
+        self._note_rest = self.effects.prepare_rest(self._rest)
         return [
             self._launcher.prepare(kernel, [self.model.kernel, state.kernel], after)
             for state in (self._rest, self.state)
@@ -161,10 +172,14 @@ class Simulator:
 
     def _prepare_step(self, count: int, *, split: bool) -> Callable[[], None]:
         after = [count * self.substeps, self.dt / self.substeps, self.max_speed]
-        before = [self._dynamics, self.state.kernel]
+        before: list[Any] = [self._dynamics, self.state.kernel]
         if self._load is None:
             return self._launcher.prepare(self._kernels.step, before, after, split=split)
-        return self._launcher.prepare(self._kernels.step_loaded, [*before, self._load.kernel], after, split=split)
+        before.append(self._load.kernel)
+        if not self.effects:
+            return self._launcher.prepare(self._kernels.step_loaded, before, after, split=split)
+        before.append(self.effects.kernel)
+        return self._launcher.prepare(self.effects.step_kernel(), before, after, split=split)
 
     def capture(self, count: int = 1) -> Callable[[], None]:
         """Return a function that replays ``count`` steps and an observation as one graph (CPU and GPU)."""
@@ -190,12 +205,17 @@ class Simulator:
     # ---- resets --------------------------------------------------------------------------------------------------
 
     def mark_start(self) -> None:
-        """Take the present state as the one that `reset` returns to."""
+        """Take the present state, with the effects' memories and clocks, as the one that `reset` returns to."""
+        self.effects.mark_start()
         self._start["coordinate"].torch.copy_(self.state.coordinate.torch)
         self._start["velocity"].torch.copy_(self.state.velocity.torch)
 
     def reset(self, mask: torch.Tensor | None = None) -> None:
-        """Put the masked worlds (bool, [worlds]; None is all) back to their start and clear their faults."""
+        """Put the masked worlds (bool, [worlds]; None is all) back to their start and clear their faults.
+
+        Memories of effects, damage too, and clocks go back to what they were at the start: empty and zero, unless
+        `mark_start` was called in between. Their parameters stay.
+        """
         mask = self._everyone if mask is None else mask.to(self._everyone.device)
         chosen = wp.from_torch(mask.contiguous(), dtype=wp.bool)
         kernels, m = reset_kernels(self.model.precision), self.model
@@ -205,6 +225,7 @@ class Simulator:
             wp.launch(kernels.restore, dim=(m.groups, m.places + 1), inputs=inputs, device=m.device)
         inputs = [chosen, self._slot_world, self.state.alive.entries(), self.state._fault_link, self.state._fault_tick]
         wp.launch(kernels.revive, dim=m.groups * m.width, inputs=inputs, device=m.device)
+        self.effects.reset(chosen, self._slot_world)
 
     # ---- looking -------------------------------------------------------------------------------------------------
 

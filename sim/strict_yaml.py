@@ -10,16 +10,19 @@ import difflib
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from .errors import InputError
 from .files import read_text
 
 Location = Sequence[str | int]
+Length = Annotated[float, Field(gt=0, le=50)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 
 _UNITS = {
     "_mps2": "m/s^2", "_kgpm3": "kg/m^3", "_hz": "Hz", "_deg": "degrees", "_kg": "kilograms", "_m": "metres",

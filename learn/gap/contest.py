@@ -27,7 +27,7 @@ from .candidates import Candidate, everywhere
 
 #: Sets of parameters in one launch; what is left over runs in launches of the second size.
 LAUNCH, SMALL = 128, 16
-#: Step of a free coordinate for derivatives, and of a start state in its own scale.
+#: Step for derivatives, in the reach of a free coordinate and in the scale of start states.
 STEP = 0.01
 #: Deviation of a base parameter's free coordinate about its typical value; of an effect's, in half widths of its box.
 BASE_SPREAD, EFFECT_SPREAD = 3.0, 1.0
@@ -78,6 +78,7 @@ class Contest:
         candidates: Every effect at every place.
         low, high: Box of the free coordinates, shape [n].
         centre, spread: Prior of the free coordinates, normal, shape [n].
+        reach: Change of a free coordinate over which the response is about linear, shape [n].
         colour: How noise of the force correlates the residuals, None where it does not.
         nuisance: Whitened linear columns that every model may use, shape [m, R T C], with normal priors of mean
             ``nuisance_mean`` and deviation ``nuisance_spread``, shape [m].
@@ -141,6 +142,12 @@ class Contest:
         log = torch.tensor([p.scale == "log" for p in self.parameters], device=self.place)
         self.centre = torch.where(base, start, middle)
         self.spread = torch.where(base & log, BASE_SPREAD, EFFECT_SPREAD * half)
+        self.reach = torch.where(log, 1.0, half)
+        for candidate in self.candidates:
+            setting = self.settings[candidate.acting.joint or 0]
+            for column, spec in zip(candidate.columns, candidate.specs, strict=True):
+                if spec.reach is not None:
+                    self.reach[column] = spec.reach(setting) if callable(spec.reach) else spec.reach
 
     def _stack(self, sigma: torch.Tensor) -> None:
         longest, channels = max(len(r.t) for r in self.recordings), len(sigma)
@@ -209,8 +216,9 @@ class Contest:
         moved = rows[who]
         at = (torch.arange(len(who), device=self.place), columns[who, which])
         # inwards from the upper end of the box, so that no effect is tried beyond it
-        sign = torch.where(moved.free[at] + STEP > self.high[at[1]], -1.0, 1.0)
-        moved.free[at] += sign * STEP
+        step = STEP * self.reach[at[1]]
+        step = torch.where(moved.free[at] + step > self.high[at[1]], -step, step)
+        moved.free[at] += step
         values, start = [self.values(rows), self.values(moved)], [rows.start, moved.start]
         for k in range(local):
             shifted = rows.start.clone().flatten(2)
@@ -221,7 +229,7 @@ class Contest:
         base, at_parameters = out[:count], out[count : count + len(who)]
         weight = rows.weight[:, :, None, None]
         derivative = base.new_zeros(count, most + local * len(self.recordings), *base.shape[1:], dtype=torch.float64)
-        change = self.whiten(at_parameters - base[who]) * (sign / STEP)[:, None, None, None]
+        change = self.whiten(at_parameters - base[who]) / step[:, None, None, None]
         derivative[who, which] = change * weight[who]
         for k in range(local):
             at_start = out[count + len(who) + k * count :][:count]

@@ -30,11 +30,12 @@ from ..target import Target
 from ..threads import one_thread
 from .candidates import names_for
 from .contest import Contest, Rows
-from .decide import ALARM, Field, alternatives, chosen, known, needs_more, probe_for, size
+from .decide import ALARM, Field, alternatives, chosen, known, needs_more, size
 from .diagnosis import Diagnosis, Gap, Interval, Rival, Settings, VerdictName
 from .evidence import family_wise, left_out, nulls, profiles
+from .next_probe import next_experiment
 from .refit import Fits, fit, normal_equations
-from .search import Model, first_level, first_look, next_level, overdispersion, refitted
+from .search import Model, first_level, first_look, next_level, overdispersion, reduced, refitted
 from .setup import Base, add_wood, base_of, colour
 from .where import locate, noise_seen
 
@@ -127,7 +128,8 @@ class Diagnoser:
             if p_null > ALARM or not leaders or not needs_more(field, leaders[0]):
                 break
             contest.overdispersion = field.overdispersion
-            field.models += next_level(contest, leaders, self.progress).models
+            further = next_level(contest, leaders, self.progress).models
+            field.models += further + reduced(contest, further[:2])
         self._lap("fits", clock)
         return field, p_null
 
@@ -176,7 +178,8 @@ class Diagnoser:
             gap=gap, ranking=rivals, explained=field.explained(model),
             base_misfit=field.base.chi2 / contest.num_samples, motion=rms, p_null=p_null,
             base_output=outputs[0], best_output=outputs[1], base_values=_values(field.base, contest),
-            best_values=_values(final, contest), next_experiment=next_probe(verdict, named, others, nearest, poor),
+            best_values=_values(final, contest),
+            next_experiment=poor or next_experiment(field, model, verdict, others),
             posterior=posterior, world_steps=contest.world_steps, seconds=dict(self.seconds),
         )  # fmt: skip
 
@@ -362,21 +365,6 @@ def sentence(
             f" {gap.unit} (noise alone: {gap.noise_floor:.3g}).")  # fmt: skip
 
 
-def next_probe(
-    verdict: VerdictName, named: Sequence[Acting], others: dict[str, tuple[str, ...]], nearest: str | None,
-    poor: str | None,
-) -> str:  # fmt: skip
-    """Return what to probe next."""
-    if poor is not None:
-        return poor
-    if verdict == "none":
-        return "none needed; larger pushes would show smaller effects"
-    if verdict == "unknown":
-        assert nearest is not None
-        return probe_for([nearest], [])
-    return probe_for([a.name for a in named], [n for names in others.values() for n in names])
-
-
 def diagnose(
     folder: str | Path, out: str | Path, settings: Settings, *, resume: bool = False,
     progress: Progress = lambda s, d: None,
@@ -421,4 +409,5 @@ def write_repaired(path: Path, found: Diagnosis) -> None:
     values = found.best_values
     acting = tuple(replace(a, known={n: i.median for n, i in found.parameters[a.label].items()}) for a in found.effects)
     own = [[values[f"{kind} {n}"] for n in names] for kind in ("stiffness", "damping")]
-    write_model(path, BranchModel(case.name, names, np.array(own[0]), np.array(own[1]), acting))
+    size = np.column_stack([case.length, case.radius])
+    write_model(path, BranchModel(case.name, names, np.array(own[0]), np.array(own[1]), acting, size))

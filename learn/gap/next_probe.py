@@ -22,12 +22,13 @@ from ...sim.tree import Array
 from ..case import BranchCase
 from ..rollout import Recording
 from .contest import Contest, Rows
+from .decide import Field, probe_for
 from .refit import normal_equations
 from .search import Model, overdispersion
 
 #: Longest probe, in times of the case's longest recording.
 LONGEST = 3.0
-#: Evidence a sample is worth may be off by this much where models are: at most so many squares a number.
+#: Evidence from which on a probe is worth making.
 ENOUGH = 12.0
 
 #: Force over the largest of the case, at a time over the probe's length.
@@ -103,6 +104,29 @@ class Worth:
     evidence: float
 
 
+def next_experiment(field: Field, model: Model, verdict: str, others: dict[str, tuple[str, ...]]) -> str:
+    """Return in words what to probe next: the push that would tell the best model from its nearest rival.
+
+    Where no push would, or joints were measured, what the registry says of the names in question.
+    """
+    if verdict == "none":
+        return "none needed; larger pushes would show smaller effects"
+    rival = _rival(field, model)
+    found = best_probe(field.contest, model, rival) if rival is not None else None
+    names = field.names(model)
+    if rival is None or found is None or found.evidence < ENOUGH:
+        return probe_for(names, [n for own in others.values() for n in own])
+    own, other = (" and ".join(field.names(m)) or "no effect" for m in (model, rival))
+    return f"{found.probe.words}: it would tell {own} from {other} by {found.evidence:.0f} in twice the log likelihood"
+
+
+def _rival(field: Field, model: Model) -> Model | None:
+    """Return the best model whose names differ."""
+    names = set(field.names(model))
+    others = [m for m in field.of_size(len(model.members)) if set(field.names(m)) != names]
+    return others[0] if others else None
+
+
 def best_probe(contest: Contest, model: Model, rival: Model) -> Worth | None:
     """Return the probe that tells a model from its rival best; None where the case is not a branch."""
     if not isinstance(contest.case, BranchCase):
@@ -157,7 +181,7 @@ def recordings_of(case: BranchCase, before: Sequence[Recording], probe: ArmProbe
         held = share < push.free_from
         force = push.size * largest * np.where(held, push.course(share), 0.0)
         out.append(replace(before[0], t=t, input=force[:, None] * axes[push.axis], output=np.zeros((len(t), 6)),
-                           contact=held, t_start=begin))  # fmt: skip
+                           contact=held, t_start=begin, sensed=None))  # fmt: skip
         begin += 2.0 * float(t[-1])
     return out
 

@@ -11,7 +11,7 @@ from .contest import Contest, Rows, force_box, prior_of
 
 #: Rows of which derivatives are held at once.
 TOGETHER = 24
-#: Longest step of a free coordinate.
+#: Longest step of a free coordinate, in its reach.
 LONGEST = 1.0
 
 
@@ -108,7 +108,7 @@ def _step(
     step = torch.nan_to_num(torch.linalg.solve(damped, pull[..., None])[..., 0][:, :p])
     most = columns.shape[1]
     own, local = step[:, :most], step[:, most:]
-    longest = own.abs().amax(1, keepdim=True).clamp(min=1e-12)
+    longest = (own / contest.reach[columns.clamp(min=0)]).abs().amax(1, keepdim=True).clamp(min=1e-12)
     shrink = (LONGEST / longest).clamp(max=1.0)
     free = rows.free.clone()
     used = columns >= 0

@@ -18,7 +18,7 @@ from .contest import Contest, Rows
 from .refit import Fits
 
 #: Share of a parameter's way from neutral to the nearer end of its box by which it is moved.
-REACH = 0.3
+REACH = 0.1
 
 
 @dataclass(frozen=True)

@@ -14,15 +14,15 @@ import torch
 
 from .contest import Contest, Rows
 from .frequencies import frequency_probes
-from .refit import Fits, fit
+from .refit import Fits, evaluated, fit
 from .scan import Basis, Scan, all_probes, look, start_rows
 
 #: Candidates that are fitted, those that go on after each round, and the iterations of the rounds.
-FIELD = (12, 5, 3)
+FIELD = (14, 7, 4)
 ITERATIONS = (2, 4, 8)
-#: Points from which a candidate sets out beside the fitted model; it sets out from the best of them with the base at
-#: its typical values too, for a base that was bent to stand in for an effect may be a trap.
-STARTS = 2
+#: Points of a candidate that are simulated. It sets out from the best of them, the base as fitted; and from the first
+#: with the base at its typical values, for a base that was bent to stand in for an effect may be a trap.
+STARTS = 4
 #: Models to which a further effect is tried.
 LEADERS = 3
 
@@ -104,6 +104,22 @@ def next_level(contest: Contest, leaders: Sequence[Model], progress: Progress) -
     return Level(looks[0][1], _halved(contest, *_field(contest, looks, FIELD[0]), progress))
 
 
+def reduced(contest: Contest, models: Sequence[Model]) -> list[Model]:
+    """Return models without one of their effects each, fitted from where they are.
+
+    An effect that no search from the base has found may stand once another has brought the rest near.
+    """
+    rows, members = [], []
+    for model in models:
+        for c in model.members:
+            own = Rows(*(getattr(model.fit.rows, k).clone() for k in ("free", "active", "start", "weight")))
+            own.active[:, list(contest.candidates[c].columns)] = False
+            rows.append(own)
+            members.append(tuple(m for m in model.members if m != c))
+    fits = fit(contest, Rows.joined(rows), ITERATIONS[-1])
+    return [Model(m, fits[torch.tensor([s], device=contest.place)], True) for s, m in enumerate(members)]
+
+
 def _field(
     contest: Contest, looks: Sequence[tuple[Basis, Scan, tuple[int, ...]]], count: int
 ) -> tuple[Rows, list[tuple[int, ...]]]:
@@ -116,16 +132,20 @@ def _field(
             key = tuple(sorted((*beside, c)))
             if key not in promised or misfit < promised[key][0]:
                 promised[key] = (misfit, n, c)
+    keys = sorted(promised, key=lambda key: promised[key][0])[:count]
+    starts = [_starts(contest, *looks[promised[key][1]][:2], promised[key][2]) for key in keys]
+    cost = evaluated(contest, Rows.joined(starts)).cost.split([len(s) for s in starts])
     rows: list[Rows] = []
-    members: list[tuple[int, ...]] = []
-    for key in sorted(promised, key=lambda key: promised[key][0])[:count]:
-        _, n, c = promised[key]
-        chosen = looks[n][1].best(c, STARTS)
-        own = start_rows(contest, looks[n][0], looks[n][1], [*chosen, chosen[0]])
-        own.free[-1, : contest.num_base] = contest.centre[: contest.num_base]
-        rows.append(own)
-        members += [key] * len(own)
-    return Rows.joined(rows), members
+    for own, misfit in zip(starts, cost, strict=True):
+        rows.append(own[misfit.argmin()[None]])
+        rows.append(own[slice(0, 1)])
+        rows[-1].free[:, : contest.num_base] = contest.centre[: contest.num_base]
+    return Rows.joined(rows), [key for key in keys for _ in range(2)]
+
+
+def _starts(contest: Contest, basis: Basis, scan: Scan, candidate: int) -> Rows:
+    """Return the rows that set out from the probes of a candidate that promise most."""
+    return start_rows(contest, basis, scan, scan.best(candidate, STARTS))
 
 
 def refitted(contest: Contest, models: Sequence[Model], iterations: int) -> list[Model]:

@@ -6,7 +6,7 @@ import warp as wp
 
 from ...kernels.algebra import add, div, dot, mul, sub
 from ...kernels.real import cos_root, real, sin_ratio, where_neg
-from .registry import Effect, EffectParameter, Law, register
+from .registry import Effect, EffectParameter, Law, axis_parameter, register
 
 
 @wp.func
@@ -30,7 +30,7 @@ EFFECT = register(
             "joint",
             (
                 EffectParameter("relative", "1", -0.9, 3.0),
-                EffectParameter("axis_rad", "rad", 0.0, 3.141592653589793, 1.5707963267948966, tries=4),
+                axis_parameter(circle=False, tries=4),
             ),
             anisotropic_stiffness,
         ),

@@ -6,7 +6,7 @@ import warp as wp
 
 from ...kernels.algebra import add, div, dot, mul, sub
 from ...kernels.real import cos_root, real, sin_ratio, where_neg
-from .registry import Effect, EffectParameter, Law, register
+from .registry import Effect, EffectParameter, Law, axis_parameter, register
 
 
 @wp.func
@@ -32,8 +32,8 @@ EFFECT = register(
         branch=Law(
             "joint",
             (
-                EffectParameter("coupling", "1", -0.9, 0.9),
-                EffectParameter("axis_rad", "rad", 0.0, 3.141592653589793, 1.5707963267948966, tries=6),
+                EffectParameter("coupling", "1", -0.75, 0.75, tries=2),
+                axis_parameter(circle=False, tries=6),
             ),
             bending_torsion_coupling,
         ),

@@ -6,7 +6,7 @@ import warp as wp
 
 from ...kernels.algebra import add, div, dot, mul, sub
 from ...kernels.real import cos_root, fma, real, sin_ratio, sqrt_, where_neg
-from .registry import Effect, EffectParameter, Law, register
+from .registry import Effect, EffectParameter, Law, axis_parameter, register
 
 #: Half-width of the change of slope at zero [rad].
 WIDTH = wp.constant(wp.float64(0.005))
@@ -48,7 +48,7 @@ EFFECT = register(
         probe="the same push and release in opposite directions, in two planes",
         branch=Law(
             "joint",
-            (_REL, EffectParameter("axis_rad", "rad", 0.0, 3.141592653589793, 1.5707963267948966, tries=6)),
+            (_REL, axis_parameter(circle=True, tries=8)),
             bilinear_stiffness,
         ),
         joint=Law("joint", (_REL,), bilinear_joint),

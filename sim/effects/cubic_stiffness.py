@@ -18,21 +18,33 @@ def cubic_stiffness(j: Any, p: Any, r: Any):
     return type(r)(j.angle * (o - k), r.memory, where_neg(tangent, o, tangent), o)
 
 
-_LAW = Law(
-    "joint",
-    (EffectParameter("cubic_radm2", "1/rad^2", lambda s: -1.0 / s.angle**2, lambda s: 20.0 / s.angle**2),),
-    cubic_stiffness,
-)
+@wp.func
+def cubic_ball(j: Any, p: Any, r: Any):
+    """tau = -kappa K ((1 - m) |phi|^2 phi + m (phi_x^3, phi_y^3, phi_z^3)), m from 0 to 1."""
+    o = real(0.0, p.a)
+    k = p.a * j.stiffness
+    a = j.angle
+    own = p.b
+    joint = (real(1.0, o) - own) * dot(a, a)
+    torque = type(a)(
+        a.x * (joint + own * a.x * a.x), a.y * (joint + own * a.y * a.y), a.z * (joint + own * a.z * a.z)
+    )  # fmt: skip
+    tangent = k * dot(a, a) * real(3.0, k)
+    return type(r)(torque * (o - k), r.memory, where_neg(tangent, o, tangent), o)
+
+
+_CUBIC = EffectParameter("cubic_radm2", "1/rad^2", lambda s: -1.0 / s.angle**2, lambda s: 20.0 / s.angle**2)
 
 EFFECT = register(
     Effect(
         name="cubic_stiffness",
-        summary="torque -K (phi + kappa |phi|^2 phi): the spring stiffens (kappa > 0) or softens with the angle",
+        summary="torque -K (phi + kappa |phi|^2 phi): the spring stiffens (kappa > 0) or softens with the angle; at a"
+        " ball joint a share of it may act about each axis of the segment by itself, kappa phi_k^3",
         source="Duffing 1918; Kovacic & Brennan, The Duffing Equation (2011), chapter 2",
         signature="frequency and stiffness depend on amplitude, alike in both directions and in hold and release",
         mistaken_for=("bilinear_stiffness", "force_scale"),
         probe="the same push at a third and at three times the force",
-        branch=_LAW,
-        joint=_LAW,
+        branch=Law("joint", (_CUBIC, EffectParameter("separate", "1", 0.0, 1.0, tries=2)), cubic_ball),
+        joint=Law("joint", (_CUBIC,), cubic_stiffness),
     )
 )

@@ -15,7 +15,7 @@ def force_bias(g: Any, p: Any):
 
 
 def _bias(name: str, unit: str) -> EffectParameter:
-    return EffectParameter(name, unit, lambda s: -0.3 * s.force, lambda s: 0.3 * s.force)
+    return EffectParameter(name, unit, lambda s: -s.force, lambda s: s.force)
 
 
 EFFECT = register(

@@ -18,8 +18,12 @@ EFFECT = register(
                 EffectParameter(
                     "mobility_mpNs",
                     "m/(N s)",
-                    lambda s: -10.0 * s.length / (s.force * s.duration),
-                    lambda s: 10.0 * s.length / (s.force * s.duration),
+                    lambda s: -100.0 * s.length / (s.force * s.duration),
+                    lambda s: 100.0 * s.length / (s.force * s.duration),
+                    tries=lambda s: [
+                        m * s.length / (s.force * s.duration) for m in (-20.0, -2.0, -0.2, 0.2, 2.0, 20.0)
+                    ],
+                    reach=lambda s: 5.0 * s.length / (s.force * s.duration),
                 ),
                 EffectParameter("least_N", "N", lambda s: 0.02 * s.force, lambda s: s.force, scale="log", tries=3),
             ),

@@ -27,9 +27,7 @@ EFFECT = register(
         branch=Law(
             "force",
             (
-                EffectParameter(
-                    "mass_kg", "kg", lambda s: -0.3 * s.force / s.gravity, lambda s: 0.3 * s.force / s.gravity
-                ),
+                EffectParameter("mass_kg", "kg", lambda s: -s.force / s.gravity, lambda s: s.force / s.gravity),
                 EffectParameter("tared", "1", 0.0, 1.0, 1.0, tries=2),
             ),
             gravity_comp_error,

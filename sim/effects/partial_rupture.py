@@ -35,7 +35,14 @@ EFFECT = register(
             "joint",
             (
                 EffectParameter("share", "1", 0.02, 0.95, scale="log", typical=0.3, tries=1),
-                EffectParameter("moment_s", "s", lambda s: s.start, lambda s: s.end, tries=lambda s: s.moments),
+                EffectParameter(
+                    "moment_s",
+                    "s",
+                    lambda s: s.start,
+                    lambda s: s.end,
+                    tries=lambda s: s.moments,
+                    reach=lambda s: 0.25 * s.duration,
+                ),
             ),
             partial_rupture,
         ),

@@ -37,7 +37,7 @@ EFFECT = register(
                     "coefficient_kgpm3",
                     "kg/m^3",
                     lambda s: 0.005 * s.force / (s.area * s.speed**2),
-                    lambda s: 3.0 * s.force / (s.area * s.speed**2),
+                    lambda s: 10.0 * s.force / (s.area * s.speed**2),
                     scale="log",
                 ),
             ),

@@ -7,6 +7,7 @@ adds one; a file that defines a law and registers it is all that a new effect ne
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -76,6 +77,8 @@ class EffectParameter:
         typical: Where a search may begin; None takes the middle of the box on its scale.
         tries: How many values a search for unknown effects looks at, or the values themselves. None: it moves a
             parameter about its neutral value where the box allows, and looks at three values of any other.
+        reach: Change of the value (of its logarithm) over which the response is about linear, for searches; None takes
+            half the box, or one for a logarithm.
     """
 
     name: str
@@ -86,6 +89,21 @@ class EffectParameter:
     scale: Literal["log", "linear"] = "linear"
     typical: Bound | None = None
     tries: int | Callable[[Setting], Sequence[float]] | None = None
+    reach: Bound | None = None
+
+
+def axis_parameter(*, circle: bool, tries: int) -> EffectParameter:
+    """Return the angle of an axis across a segment, which a search may turn past either end of what it looks at.
+
+    Args:
+        circle: Whether opposite axes differ, so that it is looked at around the whole circle, else around half.
+        tries: Axes that a search looks at.
+    """
+    end = 2.0 * math.pi if circle else math.pi
+    axes = [k * end / tries for k in range(tries)]
+    return EffectParameter(
+        "axis_rad", "rad", -math.pi, end + math.pi, typical=0.5 * math.pi, tries=lambda s: axes, reach=1.0
+    )
 
 
 @dataclass(frozen=True)

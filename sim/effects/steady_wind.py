@@ -26,7 +26,7 @@ EFFECT = register(
             "link",
             tuple(
                 EffectParameter(
-                    f"pressure_{c}_Pa", "Pa", lambda s: -0.5 * s.force / s.area, lambda s: 0.5 * s.force / s.area
+                    f"pressure_{c}_Pa", "Pa", lambda s: -3.0 * s.force / s.area, lambda s: 3.0 * s.force / s.area
                 )
                 for c in "xyz"
             ),

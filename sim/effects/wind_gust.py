@@ -27,7 +27,7 @@ def wind_gust(b: Any, p: Any):
 
 
 def _pressure(name: str) -> EffectParameter:
-    return EffectParameter(name, "Pa", lambda s: -s.force / s.area, lambda s: s.force / s.area)
+    return EffectParameter(name, "Pa", lambda s: -2.0 * s.force / s.area, lambda s: 2.0 * s.force / s.area)
 
 
 EFFECT = register(
@@ -45,7 +45,14 @@ EFFECT = register(
                 _pressure("cosine_x_Pa"),
                 _pressure("sine_y_Pa"),
                 _pressure("cosine_y_Pa"),
-                EffectParameter("frequency_Hz", "Hz", lambda s: 0.5 / s.duration, lambda s: 0.2 / s.dt, scale="log"),
+                EffectParameter(
+                    "frequency_Hz",
+                    "Hz",
+                    lambda s: 0.5 / s.duration,
+                    lambda s: 0.2 / s.dt,
+                    typical=lambda s: 1.0 / s.duration,
+                    reach=lambda s: 0.25 / (s.end - s.start),
+                ),
             ),
             wind_gust,
             per_joint=False,

@@ -121,7 +121,7 @@ def test_grasp_slip_is_the_hidden_simulators(tmp_path, mobility):
 # ---- recovery ------------------------------------------------------------------------------------------------------
 
 BRANCH_TRUTH = {
-    "cubic_stiffness": (6.0,),
+    "cubic_stiffness": (6.0, 0.5),
     "dry_friction": (0.25,),
     "hysteresis_boucwen": (0.6, 0.06),
     "quadratic_drag": (25.0,),

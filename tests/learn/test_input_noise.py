@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from bough.learn.acting import Acting
 from bough.learn.input_noise import Colour, input_colour
+from bough.learn.plant_branch import Unknowns
 from bough.learn.rollout import Rollout, recordings
 from bough.learn.simulated_case import Experiment, random_branch, write_simulated_case
 
@@ -69,6 +71,24 @@ def test_whitened_draws_are_white(noisy):
     assert abs(float((raw**2).sum(1).mean()) / white.shape[1] - 1.0) > 1.0
     other = torch.linalg.qr(torch.randn(white.shape[1], 40, generator=rng, dtype=torch.float64))[0]
     assert (((white @ other).var(0) - 1.0).abs() < 0.3).all()
+
+
+def test_noise_does_no_damage(tmp_path):
+    """Take the response without a joint's plastic set, whether its parameters are known or unknown."""
+    rng = np.random.default_rng(4)
+    truth = {"stiffness": STIFFNESS, "damping": DAMPING}
+    case = write_simulated_case(
+        tmp_path / "case", random_branch(rng, 2), truth, Experiment(samples=30), trajectories=2, seed=1
+    )
+    values = torch.tensor(np.concatenate([STIFFNESS, DAMPING]))
+    given = (recordings(case), values, np.full(3, 0.1), torch.full((6,), 1e-3))
+    plain = input_colour(case, *given)
+    share = Acting("plastic_set", 1, {"yield_rad": 0.01})
+    for acting, more in ((share, [0.4]), (replace(share, known={"share": 0.4, "yield_rad": 0.01}), [])):
+        with_set = torch.cat([values, torch.tensor(more, dtype=torch.float64)])
+        unknowns = Unknowns(effects=(acting,), box=("stiffness=1:200",))
+        colour = input_colour(case, given[0], with_set, *given[2:], unknowns=unknowns)
+        assert (colour.basis == plain.basis).all() and (colour.gain == plain.gain).all()
 
 
 def test_fast_answers_are_seen(tmp_path):

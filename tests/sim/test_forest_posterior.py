@@ -1,4 +1,4 @@
-"""Forests whose springs are drawn from the posterior of a measured branch."""
+"""Forests whose springs are drawn from the posterior of a measured branch, or are those of a model of it."""
 
 import json
 import math
@@ -9,6 +9,7 @@ import sys
 import mujoco
 import numpy as np
 import pytest
+import yaml
 from bough.sim.command_forest import Forest, write_forest
 from bough.sim.errors import InputError
 from bough.sim.measured import MeasuredBranch, measured_tree
@@ -107,6 +108,36 @@ def test_segments_of_one_radius_share_the_mean(saved):
     young = [2 * k[i] * LENGTH[i] / (math.pi * 0.0085**4) for i in (1, 2)]
     tree = SpringPosterior.from_file(path).apply(branch_tree([0.3], [[0.0085] * 2]), 7)
     assert tree.stiffness[0] == pytest.approx(sum(young) / 2 * math.pi * 0.0085**4 / 0.6, rel=1e-12)
+
+
+def test_columns_of_effects_are_named_and_left_out(saved):
+    """Read the same springs with columns of effects between them; name each effect once, and nothing else."""
+    content, plain = arrays(), SpringPosterior.from_file(saved())
+    more = {"backlash@1 gap_rad": "rad", "hysteresis_boucwen@0 share": "1", "hysteresis_boucwen@0 yield_rad": "rad",
+            "tip_mass mass_kg": "kg", "density": "kg/m^3"}  # fmt: skip
+    path = saved(
+        names=np.array([*more, *content["names"]]),
+        units=np.array([*more.values(), *content["units"]]),
+        particles=np.hstack([-np.ones((200, 5)), content["particles"]]),
+    )
+    found = SpringPosterior.from_file(path)
+    assert found.left_out == ("backlash@1", "hysteresis_boucwen@0", "tip_mass") and plain.left_out == ()
+    np.testing.assert_array_equal(found.young, plain.young)
+    np.testing.assert_array_equal(found.relaxation, plain.relaxation)
+
+
+def test_a_model_is_a_posterior_of_one_particle(saved, tmp_path):
+    """Give trees the springs that a posterior of the model's numbers alone gives."""
+    one = arrays()["particles"][:1]
+    keys = ("name", "stiffness_Nmprad", "damping_Nmsprad", "length_m", "radius_base_m", "radius_tip_m")
+    rows = zip(NAMES, *one.reshape(2, 3).tolist(), LENGTH.tolist(), *RADIUS.T.tolist(), strict=True)
+    content = {"format": "branch-model/1", "name": "any", "segments": [dict(zip(keys, r, strict=True)) for r in rows],
+               "effects": [{"name": "backlash", "joint": 2, "parameters": {"gap_rad": 0.01}}]}  # fmt: skip
+    (tmp_path / "model.yaml").write_text(yaml.safe_dump(content))
+    model, posterior = SpringPosterior.from_model("model.yaml"), SpringPosterior.from_file(saved(particles=one))
+    assert model.left_out == ("backlash@2",)
+    for name in ("radius", "young", "relaxation"):
+        np.testing.assert_array_equal(getattr(model, name), getattr(posterior, name))
 
 
 @settings(max_examples=40, deadline=None)

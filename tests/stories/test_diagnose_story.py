@@ -1,0 +1,154 @@
+"""``bough hide``, ``bough diagnose`` and ``bough exam`` from the outside."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+SMALL = ("--segments", 1, "--samples", 60)
+#: Few names make a small kernel.
+FEW = ("--effects", "force_scale", "dry_friction")
+
+
+@pytest.fixture(scope="module")
+def hidden(bough, tmp_path_factory):
+    """Folder of a case with a wrong force scale, as ``bough hide`` writes it."""
+    out = tmp_path_factory.mktemp("hidden") / "case"
+    done = bough("hide", "--effects", "force_scale", "--size", 0.25, *SMALL, "--seed", 3, "--out", out)
+    assert done.code == 0, done.err
+    return out
+
+
+@pytest.fixture(scope="module")
+def diagnosed(bough, hidden, tmp_path_factory):
+    """Folder that ``bough diagnose`` wrote, and what it said."""
+    out = tmp_path_factory.mktemp("diagnosed") / "out"
+    done = bough("diagnose", hidden, *FEW, "--out", out)
+    assert done.code == 0, done.out + done.err
+    return out, done
+
+
+def test_hidden_effect_is_found_and_shown(diagnosed):
+    """Name it in the printed line, the verdict file and the page; draw every figure that the page promises."""
+    out, done = diagnosed
+    verdict = json.loads((out / "verdict.json").read_text())
+    assert verdict["verdict"] == "effects" and [e["name"] for e in verdict["effects"]] == ["force_scale"]
+    assert verdict["gap"]["repaired"] < 0.7 * verdict["gap"]["base"]
+    scale = verdict["effects"][0]["parameters"]["scale"]
+    assert scale["low"] <= scale["median"] <= scale["high"] and scale["unit"] == "1"
+    assert len(done.out.splitlines()) == 1 and "force_scale" in done.out and "report.html" in done.out
+    page = (out / "report.html").read_text()
+    assert verdict["sentence"].split(":")[0] in page and not re.search(r'(src|href)="http', page)
+    assert {"heat.png", "before_after.png", "loops.png", "ranking.png", "parts.png", "gap.png"} <= {
+        p.name for p in out.iterdir()
+    }
+
+
+def test_repaired_model_moves_like_the_branch(bough, hidden, diagnosed):
+    """Let the repaired model replay the case with the gap that the verdict promises for recordings it was fitted to."""
+    out, _ = diagnosed
+    done = bough("simulate", hidden, "--model", out / "model.yaml", "--out", "motion")
+    assert done.code == 0, done.err
+    gap = json.loads((out / "verdict.json").read_text())["gap"]
+    moved = np.load("motion/trajectory.npz")["grasp_displacement"]
+    recorded = np.stack([_table(p)[1][:, 4:7] for p in sorted(hidden.glob("traj*.csv"))], axis=1)
+    assert np.sqrt(np.mean((moved - recorded) ** 2)) < 1.5 * gap["noise_floor"]
+
+
+def _table(path):
+    """Return the head line of a recording and its numbers."""
+    return path.read_text().splitlines()[0], np.loadtxt(path, delimiter=",", skiprows=1)
+
+
+def _changed(case, change):
+    """Write every recording anew with force and motion changed."""
+    for path in case.glob("traj*.csv"):
+        head, numbers = _table(path)
+        numbers[:, 1:] = change(numbers[:, 1:])
+        np.savetxt(path, numbers, fmt="%.9g", delimiter=",", header=head, comments="")
+
+
+def test_a_killed_diagnosis_reaches_the_same_verdict(bough, hidden, diagnosed):
+    """Kill a run when it has reached something; --resume ends with the same file."""
+    options = ["diagnose", hidden, *FEW, "--out", "killed"]
+    state = Path(".killed.unfinished")
+    run = subprocess.Popen([sys.executable, "-m", "bough", *map(str, options)], stdout=subprocess.DEVNULL,
+                           stderr=subprocess.DEVNULL)  # fmt: skip
+    while run.poll() is None and not list(state.glob("search*")):
+        time.sleep(0.02)
+    os.kill(run.pid, signal.SIGKILL)
+    run.wait()
+    assert list(state.glob("search*")) and not Path("killed").exists()
+    bough(*options, "--resume", "--seed", 4).refused("--resume", "other settings")
+    done = bough(*options, "--resume")
+    assert done.code == 0, done.err
+    assert Path("killed/verdict.json").read_text() == (diagnosed[0] / "verdict.json").read_text()
+    assert not state.exists()
+
+
+def _quiet(case):
+    """Take force and motion from every recording."""
+    _changed(case, np.zeros_like)
+
+
+def _noisy(case):
+    """Put noise three times the motion on every recording."""
+    rng = np.random.default_rng(0)
+    _changed(case, lambda x: x + 3.0 * x.std(axis=0) * rng.normal(size=x.shape))
+
+
+def _single(case):
+    """Leave one recording."""
+    meta = yaml.safe_load((case / "meta.yaml").read_text())
+    meta["trajectories"] = meta["trajectories"][:1]
+    (case / "meta.yaml").write_text(yaml.safe_dump(meta))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [(_quiet, "push the branch"), (_noisy, "push harder"), (_single, "push in two more directions")],
+)
+def test_a_poor_case_gets_a_reason_instead_of_a_name(bough, hidden, tmp_path, spoil, words):
+    """Say unknown, why, and which probe is missing; write a verdict all the same."""
+    case = Path(shutil.copytree(hidden, tmp_path / "poor"))
+    spoil(case)
+    done = bough("diagnose", case, *FEW, "--out", "out")
+    assert done.code == 0, done.err
+    verdict = json.loads(Path("out/verdict.json").read_text())
+    assert verdict["verdict"] == "unknown" and verdict["effects"] == []
+    assert words in verdict["next_experiment"] and words in done.out
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--effects", "dry_frction"), ("dry_frction", "dry_friction")),
+        (("--tolerance", 2), ("--tolerance",)),
+        (("--max-effects", 0), ("--max-effects",)),
+        (("--seed", -1), ("--seed",)),
+    ],
+)
+def test_impossible_diagnoses(bough, hidden, options, words):
+    """Refuse in one line; nothing is written, nothing is left."""
+    bough("diagnose", hidden, *options, "--out", "out").refused(*words)
+    assert not Path("out").exists() and not Path(".out.unfinished").exists()
+
+
+def test_exam_is_marked_and_goes_on(bough):
+    """Hold a short exam, then a longer one in the same folder that takes over what was done; print the table."""
+    assert bough("exam", "--cases", 1, "--jobs", 1, "--out", "out").code == 0
+    first = Path("out/results.jsonl").read_text()
+    done = bough("exam", "--cases", 2, "--jobs", 1, "--out", "out")
+    assert done.code == 0, done.err
+    assert Path("out/results.jsonl").read_text().startswith(first)
+    assert "false alarm on null" in done.out and (Path("out/confusion.png")).stat().st_size > 10_000
+    bough("exam", "--cases", 0, "--out", "out").refused("--cases")
