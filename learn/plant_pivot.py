@@ -20,7 +20,7 @@ LOCKED = 1e9
 def on_pivot(tree: Tree, below: float, gravity: float) -> Tree:
     """Return a branch on one more link, a ball joint ``below`` its base [m] that holds the given pose.
 
-    The link has no mass; its joint is locked until a compliance is written (`write_pivot`).
+    The link has no mass; its joint is locked until a compliance is written, and an inertia with it (`write_pivot`).
     """
     pivot = np.array([0.0, 0.0, below])
     row: dict[str, object] = {"joint": Joint.SPHERICAL, "rotation": [1.0, 0, 0, 0], "armature": LOCKED,
@@ -41,12 +41,13 @@ def on_pivot(tree: Tree, below: float, gravity: float) -> Tree:
 
 
 def write_pivot(acting: ActingSet, columns: torch.Tensor, least: float, model: Model, write: Write) -> None:
-    """Write the pivot's spring, damper and lock; ``least`` is the least relaxation time of a ball joint [s]."""
+    """Write the pivot's spring, damper and inertia or lock; ``least`` is a ball joint's least relaxation time [s]."""
     compliance = acting.value("base_compliance", "compliance_radpNm", columns)
     relaxation = acting.value("base_compliance", "relaxation_s", columns)
+    inertia = acting.value("base_compliance", "inertia_kgm2", columns)
     free = compliance > 0.0
     spring = torch.where(free, 1.0 / torch.where(free, compliance, 1.0), 0.0)
     place = int(model.link_place[0])
     write("stiffness", place, 0, spring)
     write("damping", place, 0, spring * relaxation.clamp(min=least))
-    write("armature", place, 0, torch.where(free, 0.0, LOCKED).to(spring.dtype))
+    write("armature", place, 0, torch.where(free, inertia, LOCKED).to(spring.dtype))

@@ -76,7 +76,7 @@ def forest_terms(names: Sequence[str], source: str = "simulator") -> tuple[tuple
         for slot, (e, law) in enumerate((e, laws[e.name]) for e in chosen)
     )
     rows = [
-        Row(term.slot, n, term.kind, spec, term.per_joint, _at_hinges(e, spec))
+        Row(term.slot, n, term.kind, spec, term.per_joint, _at_hinges(e, spec) if term.per_joint else None)
         for e, term in zip(chosen, terms, strict=True)
         for n, spec in enumerate(laws[e.name].parameters)
     ]

@@ -17,13 +17,14 @@ ALARM = 0.01
 #: Squares per number up to which what is left passes for noise, whose size is itself an estimate.
 QUIET = 1.15
 #: Least share of the base's excess that named effects must explain where what they leave is more than noise.
-EXPLAINED = 0.75
+EXPLAINED = 0.87
 #: The same where torques are predicted from a measured motion, whose own errors no noise estimate holds.
 EXPLAINED_TORQUE = 0.25
 #: By how much an information criterion must prefer a further effect, and which share of what is left it must explain.
 FURTHER, FURTHER_SHARE, FURTHER_SHARE_TORQUE = 20.0, 0.3, 0.1
-#: Least share of the base's excess that a further effect must explain.
-WORTH = 0.03
+#: Least share of the base's excess that a further effect must explain: laws differ in form from what they stand for, by
+#: a quarter of what they do, and an effect that only makes up for that is none.
+WORTH = 0.07
 #: Models this little behind the best in the information criterion cannot be told from it.
 TIED = 12.0
 
@@ -76,8 +77,11 @@ def needs_more(field: Field, model: Model) -> bool:
 
 
 def chosen(field: Field, most: int) -> Model:
-    """Return the model that is best worth its effects: one more only where it explains much of what is left."""
-    best = field.of_size(1)[0]
+    """Return the model that is best worth its effects: one more only where it explains much of what is left.
+
+    The base where nothing else was fitted.
+    """
+    best = next(iter(field.of_size(1)), field.base)
     share = FURTHER_SHARE_TORQUE if fits_torque(field.contest.case) else FURTHER_SHARE
     for count in range(2, most + 1):
         further = field.of_size(count)

@@ -17,6 +17,7 @@ from ...sim.tree import Array
 from ..acting import Acting
 from ..case import BranchCase, JointCase, load_case
 from ..checkpoint import Checkpoint, digest
+from ..equation_error import recordings_of
 from ..fit import Modes, climb_until_settled, precision_at
 from ..identify import default_iterations, split
 from ..identify_report import unit_of
@@ -84,11 +85,15 @@ class Diagnoser:
         """Return what was found."""
         clock = time.perf_counter()
         poor = too_poor(self.case)
-        base = base_of(self.case, names_for(self.case, self.settings.effects), self.settings.seed)
+        names = names_for(self.case, self.settings.effects)
+        base = base_of(self.case, names, self.settings.seed, fitted=still(self.case) is None)
+        poor = poor or too_loud(_over_noise(base.contest))
         self.progress("base", 1)
         self._lap("base", clock)
+        if poor is not None:
+            return self._conclude(base, Field(base.contest, Model((), base.fit), []), 1.0, poor, clock)
         field, p_null = self._restored(base) or self._searched(base)
-        return self._conclude(base, field, p_null, poor, clock)
+        return self._conclude(base, field, p_null, None, clock)
 
     def _searched(self, base: Base) -> tuple[Field, float]:
         """Search, and keep what was found."""
@@ -150,11 +155,10 @@ class Diagnoser:
     def _conclude(self, base: Base, field: Field, p_null: float, poor: str | None, began: float) -> Diagnosis:
         clock, contest = time.perf_counter(), base.contest
         model = chosen(field, self.settings.max_effects)
-        rms = float(np.sqrt(_signal(contest.measured, contest.sigma)))
+        rms = _over_noise(contest)
         verdict: VerdictName = "effects" if known(field, model) else "unknown"
         if p_null > ALARM or size(field, model, rms) < self.settings.tolerance:
             verdict = "none"
-        poor = poor or too_loud(rms)
         if poor is not None:
             verdict = "unknown"
         final = model if verdict != "none" else field.base
@@ -222,10 +226,10 @@ def only(contest: Contest, model: Model) -> Unknowns:
     return Unknowns(effects=tuple(acting))
 
 
-def _signal(measured: torch.Tensor, sigma: torch.Tensor) -> float:
-    """Mean square of all channels in units of their noise."""
-    used = sigma > 0.0
-    return float(((measured[..., used] / sigma[used]) ** 2).mean())
+def _over_noise(contest: Contest) -> float:
+    """Rms of all channels in units of their noise."""
+    used = contest.sigma > 0.0
+    return float(((contest.measured[..., used] / contest.sigma[used]) ** 2).mean().sqrt())
 
 
 def _stiffness(case: BranchCase | JointCase, field: Field) -> Array | None:
@@ -244,12 +248,19 @@ def _values(model: Model, contest: Contest) -> dict[str, float]:
 
 def too_poor(case: BranchCase | JointCase) -> str | None:
     """Return why a case can say nothing, with the probe that is missing, or None."""
-    if isinstance(case, BranchCase):
-        if len(case.trajectories) < 2:
-            return "one trajectory can be fitted by almost any effect; push in two more directions"
-        force = max(float(np.abs(t.force).max()) for t in case.trajectories)
-        if force == 0.0:
-            return "no trajectory has any force; push the branch"
+    if still(case) is not None:
+        return still(case)
+    if isinstance(case, BranchCase) and len(case.trajectories) < 2:
+        return "one trajectory can be fitted by almost any effect; push in two more directions"
+    return None
+
+
+def still(case: BranchCase | JointCase) -> str | None:
+    """Return that nothing acts or nothing moves, or None."""
+    if isinstance(case, BranchCase) and not any(t.force.any() for t in case.trajectories):
+        return "no trajectory has any force; push the branch"
+    if not any(np.ptp(r.output, axis=0).any() for r in recordings_of(case)):
+        return "nothing moves in any trajectory; push harder"
     return None
 
 

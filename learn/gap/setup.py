@@ -18,13 +18,13 @@ from ..posterior import initial_vectors
 from ..rollout import Rollout
 from ..target import Target
 from .contest import Contest, Rows
-from .refit import Fits, fit
+from .refit import Fits, evaluated, fit
 
 #: Links that a segment is cut into to see what bending of its wood does.
 PIECES = 3
 #: Bend of the wood inside a segment over that of its joint under the same torque: mean and deviation of its prior, and
 #: the step by which its response is taken.
-WOOD, WOOD_SPREAD, WOOD_STEP = 0.05, 0.06, 0.06
+WOOD, WOOD_SPREAD, WOOD_STEP = 0.05, 0.03, 0.06
 #: Starts of the base fit.
 STARTS = 8
 
@@ -46,12 +46,15 @@ class Base:
     force_sigma: Array | None
 
 
-def base_of(case: BranchCase | JointCase, names: Sequence[str], seed: int, chosen: Sequence[int] | None = None) -> Base:
-    """Fit the base model to some or all recordings of a case and set the contest up about it."""
+def base_of(case: BranchCase | JointCase, names: Sequence[str], seed: int, *, fitted: bool = True) -> Base:
+    """Fit the base model to a case, or leave it as it is typical, and set the contest up about it."""
     noise = noise_of(case)
     sigma, force_sigma = pooled_sigma(case, noise), force_noise(case, noise)
     every = recordings_of(case)
-    recordings = [thinned(case, every[j]) for j in (chosen if chosen is not None else range(len(every)))]
+    recordings = [thinned(case, r) for r in every]
+    if not fitted:
+        contest = Contest(case, recordings, sigma, names)
+        return Base(contest, evaluated(contest, contest.rows(1)), sigma, force_sigma)
     target = Target(case, recordings, torch.as_tensor(sigma))
     starts = initial_vectors(target, STARTS, torch.Generator().manual_seed(seed))
     modes = find_modes(target, starts)

@@ -5,7 +5,8 @@ from .registry import Effect, EffectParameter, Law, register
 EFFECT = register(
     Effect(
         name="base_compliance",
-        summary="one more ball joint below the base: a spring of 1 / compliance, a damper of relaxation times it",
+        summary="one more ball joint below the base: a spring of 1 / compliance, a damper of relaxation times"
+        " it, and the inertia of what turns on it",
         source="James, Haritos & Ades 2006, Am. J. Bot. 93:1522 (the trunk as a spring below the branch)",
         signature="the grasp point moves as if the base turned: more along the branch than its own joints allow",
         mistaken_for=("cubic_stiffness", "force_scale"),
@@ -19,6 +20,14 @@ EFFECT = register(
                     lambda s: 0.003 / s.stiffness,
                     lambda s: 3.0 / s.stiffness,
                     scale="log",
+                ),
+                EffectParameter(
+                    "inertia_kgm2",
+                    "kg m^2",
+                    lambda s: 0.01 * s.mass * s.length**2,
+                    lambda s: 300.0 * s.mass * s.length**2,
+                    scale="log",
+                    tries=1,
                 ),
                 EffectParameter("relaxation_s", "s", 1.5e-3, 1.0, 0.02, "log", 0.02, tries=1),
             ),

@@ -50,7 +50,6 @@ EFFECT = register(
                     "Hz",
                     lambda s: 0.5 / s.duration,
                     lambda s: 0.2 / s.dt,
-                    typical=lambda s: 1.0 / s.duration,
                     reach=lambda s: 0.25 / (s.end - s.start),
                 ),
             ),

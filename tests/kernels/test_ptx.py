@@ -12,7 +12,9 @@ from bough.kernels.reset import reset_kernels
 from bough.kernels.rollout import rollout_kernels
 from bough.kernels.stability import damping_kernel
 from bough.kernels.step import step_kernels
+from bough.kernels.terms.step import term_kernels
 from bough.sim.effects import terms_of
+from bough.sim.forest_effects import forest_terms
 
 
 def some(form):
@@ -20,6 +22,8 @@ def some(form):
     return terms_of(("dry_friction", "hysteresis_boucwen", "force_bias"), form)
 
 
+#: A law of each kind that steps freely, with a memory, a damper, a clock.
+TERMS = ("dry_friction", "tip_mass", "partial_rupture", "quadratic_drag", "wind_gust")
 KERNELS = {
     "step": lambda precision: step_kernels(1, precision).step,
     "step_loaded": lambda precision: step_kernels(1, precision).step_loaded,
@@ -32,6 +36,7 @@ KERNELS = {
     "inverse": lambda precision: inverse_kernels(1, precision).inverse,
     "replay_point": lambda precision: rollout_kernels(1, precision).point,
     "replay_joint": lambda precision: rollout_kernels(1, precision).joint,
+    "step_terms": lambda precision: term_kernels(1, precision, forest_terms(TERMS)[0]).step,
     "effects_joint": lambda precision: effect_rollout_kernels(1, precision, some("joint")).joint,
     "effects_effort": lambda precision: effect_efforts_kernel(1, precision, some("joint")),
 }

@@ -83,21 +83,21 @@ def test_tip_mass_equals_a_heavier_model(tmp_path):
 
 
 def test_base_compliance_equals_a_chain_of_two(tmp_path):
-    """Move as MuJoCo does with a ball joint 0.6 m below the base."""
-    case, compliance, relaxation = stick_case(tmp_path / "c", [push()]), 0.02, 0.03
+    """Move as MuJoCo does with a ball joint 0.6 m below the base that carries a ball of wood."""
+    case, compliance, inertia, relaxation = stick_case(tmp_path / "c", [push()]), 0.02, 0.08, 0.03
     branch = measured_tree(case, [KS], [DS])
     two = Tree(
         name="two", link_name=["trunk", "stick"], parent=[-1, 0], joint=[Joint.SPHERICAL] * 2,
         position=[[0, 0, 0.4], [0, 0, 0.6]], rotation=[[1, 0, 0, 0], branch.rotation[0]],
-        mass=[1e-6, branch.mass[0]], com=[[0, 0, 0], branch.com[0]], inertia=[1e-9 * np.eye(3), branch.inertia[0]],
+        mass=[1e-6, branch.mass[0]], com=[[0, 0, 0], branch.com[0]], inertia=[inertia * np.eye(3), branch.inertia[0]],
         stiffness=[1 / compliance, KS], damping=[relaxation / compliance, DS],
     )  # fmt: skip
     unknowns = Unknowns(effects=(Acting("base_compliance"),))
     rollout = Rollout(case, recordings(case), 1, unknowns=unknowns)
     rollout._output.torch.fill_(torch.nan)
-    ours = rollout(torch.tensor([[KS, DS, compliance, relaxation]]))[0, 0, :, :3].double().numpy()
+    ours = rollout(torch.tensor([[KS, DS, compliance, inertia, relaxation]]))[0, 0, :, :3].double().numpy()
     close(ours, by_mujoco(hold_rest_pose(two), 1, push()))
-    locked = rollout(torch.tensor([[KS, DS, 0.0, 0.02]]))[0, 0, :, :3].double().numpy()
+    locked = rollout(torch.tensor([[KS, DS, 0.0, inertia, 0.02]]))[0, 0, :, :3].double().numpy()
     plain = Rollout(case, recordings(case), 1)(torch.tensor([[KS, DS]]))[0, 0, :, :3].double().numpy()
     np.testing.assert_allclose(locked, plain, atol=1e-6)  # float32 of a metre
     assert np.abs(ours - plain).max() > 0.1 * np.abs(plain).max()
@@ -127,8 +127,8 @@ BRANCH_TRUTH = {
     "quadratic_drag": (25.0,),
     "viscoelastic_sls": (0.5, 0.3),
     "tip_mass": (0.2,),
-    "base_compliance": (0.02, 0.02),
-    "backlash": (0.03,),
+    "base_compliance": (0.02, 0.1, 0.02),
+    "backlash": (0.03, 0.5),
     "plastic_set": (0.4, 0.1),
     "partial_rupture": (0.4, 20.9),
     "grasp_slip": (-0.05, 0.5),

@@ -64,7 +64,7 @@ def test_rows_are_whole(effect):
             low, high = (b(setting) if callable(b) else b for b in (p.low, p.high))
             assert low < high and (p.scale == "linear" or low > 0.0)
             assert p.typical is None or low <= p.typical <= high
-            assert p.scale == "log" or low <= p.neutral <= high or p.name == "moment_s"
+            assert p.scale == "log" or low <= p.neutral <= high or p.unit in ("s", "Hz")
     assert set(effect.mistaken_for) <= set(NAMES) - {effect.name} and effect.mistaken_for
     assert effect.source and effect.signature and effect.probe
 

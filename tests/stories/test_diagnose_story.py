@@ -103,7 +103,8 @@ def _quiet(case):
 def _noisy(case):
     """Put noise three times the motion on every recording."""
     rng = np.random.default_rng(0)
-    _changed(case, lambda x: x + 3.0 * x.std(axis=0) * rng.normal(size=x.shape))
+    size = np.std(np.concatenate([_table(p)[1][:, 1:] for p in case.glob("traj*.csv")]), axis=0)
+    _changed(case, lambda x: x + 3.0 * size * rng.normal(size=x.shape))
 
 
 def _single(case):
