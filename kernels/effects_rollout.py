@@ -232,6 +232,9 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                     rest(e, m, x_in_out)
                 locate_links(e, r, m, x_in_out, s_out)
             start = s_out.accel[r, place] + rotate(s_out.pose[r, place], nominal)
+            if wp.static(lasts):  # displacement counts from where the whole branch had its grasp point
+                if fx.active[e, has_lasting] == 1:
+                    start = Vec(real(grip[j, 8], o), real(grip[j, 9], o), real(grip[j, 10], o))
             calm = s_out.pose[r, place]
             if fx.active[e, has_resting] == 1:
                 settle(e, r, m, x_in_out, u_out, fx, s_out, begins[j], bound, STILL)

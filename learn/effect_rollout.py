@@ -186,15 +186,22 @@ def _grasp(recording: Recording) -> tuple[int, Array]:
 
 
 def _grip(rollout: Rollout, recording: Recording) -> Array:
-    """Grasp point [m] and segment's axis in the link's frame, and the way down (negative) and up to its ends [m]."""
+    """Where a branch is held.
+
+    Returns:
+        Grasp point [m] and segment's axis in the link's frame, the way down (negative) and up to its ends [m], and the
+        point in the world in the given pose [m], shape [11].
+    """
     plant = rollout.plant
     assert isinstance(plant, BranchPlant)
     segment, point = _grasp(recording)
+    branch = plant.branch
     link, links = plant.first + segment, rollout.model.links
     inverse = links.frame[link] * [1.0, -1.0, -1.0, -1.0]
     along = quat_rotate(inverse, np.array([0.0, 0.0, 1.0]))
     return np.concatenate([
-        links.in_link_frame(link, point), along, [-point[2], plant.branch.length[segment] - point[2]]
+        links.in_link_frame(link, point), along, [-point[2], branch.length[segment] - point[2]],
+        branch.lower_end[segment] + point[2] * branch.axis[segment],
     ])  # fmt: skip
 
 

@@ -25,7 +25,7 @@ EFFECT = register(
                     ],
                     reach=lambda s: 5.0 * s.length / (s.force * s.duration),
                 ),
-                EffectParameter("least_N", "N", lambda s: 0.02 * s.force, lambda s: s.force, scale="log", tries=3),
+                EffectParameter("least_N", "N", lambda s: 0.02 * s.force, lambda s: s.force, scale="log", tries=6),
             ),
             per_joint=False,
             memory=True,
