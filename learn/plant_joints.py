@@ -32,7 +32,9 @@ class JointPlant:
     def __init__(self, case: JointCase) -> None:
         self.joints: tuple[JointSpec, ...] = tuple(j for j in case.joints if isinstance(j, JointSpec))
         self.gravity = np.array([0.0, 0.0, -self.G])
-        self.substep = 1e-3
+        # inertia and stiffness that are sought stay below the fastest oscillation that the samples can show
+        self._finest = 0.5 * self.TURN * case.dt
+        self.substep = max(1e-3, self._finest)
         self._slots: list[tuple[int, str]] = []
         found: list[Parameter] = []
         fastest = (2.0 / case.dt) ** 2  # three samples a period
@@ -50,8 +52,11 @@ class JointPlant:
     ) -> list[Parameter]:
         turn = "rad" if joint.type == "revolute" else "m"
         force = "N m" if joint.type == "revolute" else "N"
-        inertia = joint.inertia or guess.get("inertia", 1.0)
-        self._resolve(inertia, joint.stiffness or guess.get("stiffness", 0.0))
+        # of what moves too slowly to show its inertia: the one with which it would swing as fast as samples can show
+        slow = guess.get("stiffness", 0.0) / fastest
+        inertia = joint.inertia or max(guess.get("inertia", 0.0 if slow else 1.0), slow)
+        sought = joint.inertia is None or joint.stiffness is None
+        self._resolve(inertia, joint.stiffness or guess.get("stiffness", 0.0), self._finest if sought else 0.0)
         out = []
         for name, value, unit, low, high in (
             ("inertia", joint.inertia, "kg m^2" if turn == "rad" else "kg", 1e-6 * inertia, 1e6 * inertia),
@@ -78,10 +83,10 @@ class JointPlant:
         unit = "N m" if joint.type == "revolute" else "N"
         return [Parameter(f"offset {joint.name}", unit, -most, most, 0.0, "linear")]
 
-    def _resolve(self, inertia: float, stiffness: float) -> None:
+    def _resolve(self, inertia: float, stiffness: float, finest: float) -> None:
         """Shorten the step so that an oscillation of the guessed frequency turns by at most `TURN` a step."""
         if stiffness > 0.0:
-            self.substep = min(self.substep, self.TURN * (inertia / stiffness) ** 0.5)
+            self.substep = min(self.substep, max(finest, self.TURN * (inertia / stiffness) ** 0.5))
 
     def _tree(self, name: str) -> Tree:
         n = len(self.joints)

@@ -8,16 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...sim.effects import effect_of
+from ..case import BranchCase, JointCase
 from ..equation_error import fits_torque
 from .contest import Contest
 from .search import Model, overdispersion, penalty
 
 #: Family-wise p-value above which nothing is said to be missing.
 ALARM = 0.01
-#: Squares per number up to which what is left passes for noise, whose size is itself an estimate.
-QUIET = 1.15
+#: Squares per number up to which what is left passes for noise, whose size is itself an estimate; and the least share
+#: of the excess that named effects must explain then.
+QUIET, QUIET_EXPLAINED = 1.15, 0.7
 #: Least share of the base's excess that named effects must explain where what they leave is more than noise.
 EXPLAINED = 0.87
+#: The same of joints that are measured directly, whose laws are seldom the registry's to a few percent.
+EXPLAINED_JOINT = 0.75
 #: The same where torques are predicted from a measured motion, whose own errors no noise estimate holds.
 EXPLAINED_TORQUE = 0.25
 #: By how much an information criterion must prefer a further effect, and which share of what is left it must explain.
@@ -58,9 +62,12 @@ class Field:
         return model.cost / self.overdispersion + penalty(self.contest, model.members)
 
     def explained(self, model: Model) -> float:
-        """Return the share of the base's excess over the noise that a model explains."""
-        excess = self.base.chi2 - self.contest.num_samples
-        return (self.base.chi2 - model.chi2) / max(excess, 1e-9) if excess > 0.0 else 0.0
+        """Return the share of the base's excess over the noise that a model explains.
+
+        The estimate of the noise may be a little large: the best model counts as noise where it leaves less.
+        """
+        excess = self.base.chi2 - min(float(self.contest.num_samples), self.best.chi2)
+        return (self.base.chi2 - model.chi2) / excess if excess > 0.0 else 0.0
 
     def of_size(self, count: int) -> list[Model]:
         """Return the models with a number of effects, by the information criterion."""
@@ -109,10 +116,16 @@ def size(field: Field, model: Model, rms: float) -> float:
 
 def known(field: Field, model: Model) -> bool:
     """Return whether a model explains enough for its effects to be named."""
+    least = _least(field.contest.case)
     if model.chi2 / field.contest.num_samples <= QUIET:
-        return True
-    least = EXPLAINED_TORQUE if fits_torque(field.contest.case) else EXPLAINED
+        least = min(least, QUIET_EXPLAINED)
     return field.explained(model) >= least
+
+
+def _least(case: BranchCase | JointCase) -> float:
+    if fits_torque(case):
+        return EXPLAINED_TORQUE
+    return EXPLAINED if isinstance(case, BranchCase) else EXPLAINED_JOINT
 
 
 def alternatives(field: Field, model: Model) -> dict[str, tuple[str, ...]]:

@@ -127,12 +127,14 @@ def _rival(field: Field, model: Model) -> Model | None:
     return others[0] if others else None
 
 
-def best_probe(contest: Contest, model: Model, rival: Model) -> Worth | None:
+def best_probe(
+    contest: Contest, model: Model, rival: Model, probes: Sequence[ArmProbe] = ARM_PROBES
+) -> Worth | None:  # fmt: skip
     """Return the probe that tells a model from its rival best; None where the case is not a branch."""
     if not isinstance(contest.case, BranchCase):
         return None
     precision = _precision(contest, rival)
-    worths = [Worth(p, _worth(contest, p, model, rival, precision)) for p in ARM_PROBES]
+    worths = [Worth(p, _worth(contest, p, model, rival, precision)) for p in probes]
     return max(worths, key=lambda w: w.evidence)
 
 

@@ -19,7 +19,7 @@ from .scan import Basis, Scan, all_probes, look, start_rows
 
 #: Candidates that are fitted, those that go on after each round, and the iterations of the rounds.
 FIELD = (14, 7, 4)
-ITERATIONS = (2, 4, 8)
+ITERATIONS = (4, 4, 8)
 #: Points of a candidate that are simulated. It sets out from the best of them, the base as fitted; and from the first
 #: with the base at its typical values, for a base that was bent to stand in for an effect may be a trap.
 STARTS = 4

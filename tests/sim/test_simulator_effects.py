@@ -307,7 +307,7 @@ def randomise(sim: Simulator, worlds=slice(None), seed=0) -> None:
     generator = torch.Generator().manual_seed(seed)
     for parameters in sim.effects.values():
         for name, tensor in parameters.items():
-            low, high = BOX.get(name, (-5.0, 5.0))  # winds in Pa
+            low, high = BOX.get(name, (-5.0, 5.0) if name.endswith("_Pa") else (0.0, 1.0))
             drawn = torch.empty(tensor.shape, dtype=tensor.dtype).uniform_(low, high, generator=generator)
             tensor[worlds] = drawn[worlds]
 
