@@ -17,7 +17,7 @@ from .frequencies import frequency_probes
 from .refit import Fits, evaluated, fit
 from .scan import Basis, Scan, all_probes, look, start_rows
 
-#: Candidates that are fitted, those that go on after each round, and the iterations of the rounds.
+#: Candidates that set out from two points, those that go on after each round, and the iterations of the rounds.
 FIELD = (14, 7, 4)
 ITERATIONS = (4, 4, 8)
 #: Points of a candidate that are simulated. It sets out from the best of them, the base as fitted; and from the first
@@ -91,7 +91,7 @@ def first_look(
 
 def first_level(contest: Contest, basis: Basis, scan: Scan, progress: Progress) -> Level:
     """Fit the candidates that the scan favours, one beside the base."""
-    return Level(scan, _halved(contest, *_field(contest, [(basis, scan, ())], FIELD[0]), progress))
+    return Level(scan, _halved(contest, *_field(contest, [(basis, scan, ())], every=True), progress))
 
 
 def next_level(contest: Contest, leaders: Sequence[Model], progress: Progress) -> Level:
@@ -101,7 +101,7 @@ def next_level(contest: Contest, leaders: Sequence[Model], progress: Progress) -
         basis, scan = first_look(contest, model.fit, without=model.members)
         looks.append((basis, scan, model.members))
         progress("looking", 1)
-    return Level(looks[0][1], _halved(contest, *_field(contest, looks, FIELD[0]), progress))
+    return Level(looks[0][1], _halved(contest, *_field(contest, looks, every=False), progress))
 
 
 def reduced(contest: Contest, models: Sequence[Model]) -> list[Model]:
@@ -120,10 +120,43 @@ def reduced(contest: Contest, models: Sequence[Model]) -> list[Model]:
     return [Model(m, fits[torch.tensor([s], device=contest.place)], True) for s, m in enumerate(members)]
 
 
+def moved(contest: Contest, models: Sequence[Model]) -> list[Model]:
+    """Return models with one effect at another joint each, fitted from where they are.
+
+    A base bent by an effect hides it at its own joint better than at the next one.
+    """
+    rows, members = [], []
+    for model in models:
+        for c in model.members:
+            for other in _same_law(contest, c, model.members):
+                own = Rows(*(getattr(model.fit.rows, k).clone() for k in ("free", "active", "start", "weight")))
+                old, new = (list(contest.candidates[k].columns) for k in (c, other))
+                own.active[:, old], own.active[:, new] = False, True
+                own.free[:, new] = torch.maximum(
+                    torch.minimum(model.fit.rows.free[:, old], contest.high[new]), contest.low[new]
+                )
+                rows.append(own)
+                members.append(tuple(sorted((set(model.members) - {c}) | {other})))
+    if not rows:
+        return []
+    fits = fit(contest, Rows.joined(rows), sum(ITERATIONS[1:]))
+    return [Model(m, fits[torch.tensor([s], device=contest.place)], True) for s, m in enumerate(members)]
+
+
+def _same_law(contest: Contest, candidate: int, members: Sequence[int]) -> list[int]:
+    """Return the candidates with a candidate's law at other joints that a model has not got."""
+    name = contest.candidates[candidate].name
+    return [k for k, c in enumerate(contest.candidates) if c.name == name and k != candidate and k not in members]
+
+
 def _field(
-    contest: Contest, looks: Sequence[tuple[Basis, Scan, tuple[int, ...]]], count: int
+    contest: Contest, looks: Sequence[tuple[Basis, Scan, tuple[int, ...]]], *, every: bool
 ) -> tuple[Rows, list[tuple[int, ...]]]:
-    """Rows that set out, and their members: the candidates that promise the least misfit, from their best probes."""
+    """Rows that set out, and their members: the candidates that promise the least misfit, from their best probes.
+
+    With ``every`` the others set out too, from one point each: a base that an effect has bent far enough hides that
+    effect from the scan.
+    """
     promised: dict[tuple[int, ...], tuple[float, int, int]] = {}
     for n, (basis, scan, beside) in enumerate(looks):
         for c in {p.candidate for p in scan.probes}:
@@ -132,15 +165,18 @@ def _field(
             key = tuple(sorted((*beside, c)))
             if key not in promised or misfit < promised[key][0]:
                 promised[key] = (misfit, n, c)
-    keys = sorted(promised, key=lambda key: promised[key][0])[:count]
+    keys = sorted(promised, key=lambda key: promised[key][0])[: None if every else FIELD[0]]
     starts = [_starts(contest, *looks[promised[key][1]][:2], promised[key][2]) for key in keys]
     cost = evaluated(contest, Rows.joined(starts)).cost.split([len(s) for s in starts])
-    rows: list[Rows] = []
-    for own, misfit in zip(starts, cost, strict=True):
+    rows, members = [], []
+    for key, own, misfit in zip(keys, starts, cost, strict=True):
         rows.append(own[misfit.argmin()[None]])
-        rows.append(own[slice(0, 1)])
-        rows[-1].free[:, : contest.num_base] = contest.centre[: contest.num_base]
-    return Rows.joined(rows), [key for key in keys for _ in range(2)]
+        members.append(key)
+        if len(members) < 2 * FIELD[0]:
+            rows.append(own[slice(0, 1)])
+            rows[-1].free[:, : contest.num_base] = contest.centre[: contest.num_base]
+            members.append(key)
+    return Rows.joined(rows), members
 
 
 def _starts(contest: Contest, basis: Basis, scan: Scan, candidate: int) -> Rows:

@@ -53,7 +53,7 @@ def base_of(case: BranchCase | JointCase, names: Sequence[str], seed: int, *, fi
     every = recordings_of(case)
     recordings = [thinned(case, r) for r in every]
     if not fitted:
-        contest = Contest(case, recordings, sigma, names)
+        contest = Contest(case, recordings, np.where(sigma > 0.0, sigma, 1.0), names)  # zeros have no noise to weigh by
         return Base(contest, evaluated(contest, contest.rows(1)), sigma, force_sigma)
     target = Target(case, recordings, torch.as_tensor(sigma))
     starts = initial_vectors(target, STARTS, torch.Generator().manual_seed(seed))

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from bough.learn.case import load_case
+from bough.learn.case import BranchCase, load_case
 from bough.learn.gap.candidates import Candidate, everywhere, names_for, probes_of
 from bough.learn.gap.contest import Contest, Rows, active_rows
 from bough.learn.gap.decide import Field, alternatives, chosen, known
@@ -150,7 +150,7 @@ def field_of(chi2, base=3000.0, samples=1000):
     """Return a field in which models have the given squares: {members: chi2}."""
     names = ["dry_friction", "hysteresis_boucwen", "tip_mass"]
     candidates = [Candidate(SimpleNamespace(name=n, label=n), (k,), ()) for k, n in enumerate(names)]
-    contest = SimpleNamespace(num_samples=samples, candidates=candidates, case=None)
+    contest = SimpleNamespace(num_samples=samples, candidates=candidates, case=object.__new__(BranchCase))
 
     def model(members, value):
         one = torch.tensor([float(value)])

@@ -132,10 +132,10 @@ def test_a_model_is_a_posterior_of_one_particle(saved, tmp_path):
     keys = ("name", "stiffness_Nmprad", "damping_Nmsprad", "length_m", "radius_base_m", "radius_tip_m")
     rows = zip(NAMES, *one.reshape(2, 3).tolist(), LENGTH.tolist(), *RADIUS.T.tolist(), strict=True)
     content = {"format": "branch-model/1", "name": "any", "segments": [dict(zip(keys, r, strict=True)) for r in rows],
-               "effects": [{"name": "backlash", "joint": 2, "parameters": {"gap_rad": 0.01}}]}  # fmt: skip
+               "effects": [{"name": "force_scale", "joint": None, "parameters": {"scale": 1.1}}]}  # fmt: skip
     (tmp_path / "model.yaml").write_text(yaml.safe_dump(content))
     model, posterior = SpringPosterior.from_model("model.yaml"), SpringPosterior.from_file(saved(particles=one))
-    assert model.left_out == ("backlash@2",)
+    assert model.left_out == ("force_scale",)
     for name in ("radius", "young", "relaxation"):
         np.testing.assert_array_equal(getattr(model, name), getattr(posterior, name))
 
