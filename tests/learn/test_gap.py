@@ -232,7 +232,7 @@ def test_nothing_hidden_is_called_none(tmp_path, noise):
     [("force_scale", None, 0.03), ("bilinear_stiffness", 1, 0.03), ("viscoelastic_sls", 0, 0.05)],
 )
 def test_hidden_effect_is_named(tmp_path, name, joint, noise):
-    """Name a visible effect and its joint, leave a held-out gap within 30 % of the noise and half of what exceeds it."""
+    """Name a visible effect and its joint; leave a gap within 30 % of the noise, and half of what exceeds it."""
     found = diagnosed(tmp_path / "case", effects=(name,), joint=joint, seed=5, noise=noise, size=0.2)
     assert [(a.name, a.joint) for a in found.effects] == [(name, joint)], found.sentence
     assert found.p_null < 1e-6
