@@ -38,7 +38,7 @@ class Diagnose:
     def run(self) -> int:
         """Diagnose the case and say what came out and where the report is."""
         start_warp()
-        from .gap.diagnose import diagnose
+        from .gap.diagnose import STAGES, diagnose
         from .gap.diagnosis import Settings
 
         names = tuple(n for entry in self.effects for n in entry.split(",") if n)
@@ -50,7 +50,7 @@ class Diagnose:
             "weighing": 1,
             "sampling": 24,
         }
-        says = dict(zip(("base", "looking", "fitting", "evidence", "sampling"), stages, strict=True))
+        says = dict(zip(STAGES, stages, strict=True))
         with bars(stages) as advance:
             found = diagnose(
                 self.case, self.out, settings, resume=self.resume,

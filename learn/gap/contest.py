@@ -55,6 +55,10 @@ class Rows:
     def __len__(self) -> int:
         return len(self.free)
 
+    def copy(self) -> Rows:
+        """Return rows that share no memory with these."""
+        return Rows(self.free.clone(), self.active.clone(), self.start.clone(), self.weight.clone())
+
     @staticmethod
     def joined(parts: Sequence[Rows]) -> Rows:
         """Return rows one after the other."""
@@ -251,11 +255,11 @@ def prior_of(contest: Contest, rows: Rows) -> torch.Tensor:
 
 def active_rows(contest: Contest, rows: Rows, chosen: Sequence[Sequence[int]]) -> Rows:
     """Return rows in which the candidates ``chosen[s]`` are active beside what already is."""
-    active = rows.active.clone()
+    out = rows.copy()
     for s, members in enumerate(chosen):
         for c in members:
-            active[s, list(contest.candidates[c].columns)] = True
-    return Rows(rows.free.clone(), active, rows.start.clone(), rows.weight.clone())
+            out.active[s, list(contest.candidates[c].columns)] = True
+    return out
 
 
 def force_box(contest: Contest, free: torch.Tensor) -> torch.Tensor:

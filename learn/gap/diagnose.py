@@ -36,7 +36,7 @@ from .diagnosis import Diagnosis, Gap, Interval, Rival, Settings, VerdictName
 from .evidence import family_wise, left_out, nulls, profiles
 from .next_probe import next_experiment
 from .refit import Fits, fit, normal_equations
-from .search import Model, first_level, first_look, moved, next_level, overdispersion, reduced, refitted
+from .search import LEADERS, Model, first_level, first_look, moved, next_level, overdispersion, reduced, refitted
 from .setup import Base, add_wood, base_of, colour
 from .where import locate, noise_seen
 
@@ -130,7 +130,7 @@ class Diagnoser:
         models = level.models + moved(contest, level.models[:2])
         field = self._recoloured(base, Field(contest, Model((), base.fit), models))
         for count in range(2, self.settings.max_effects + 1):
-            leaders = field.of_size(count - 1)[:3]
+            leaders = field.of_size(count - 1)[:LEADERS]
             if p_null > ALARM or not leaders or not needs_more(field, leaders[0]):
                 break
             contest.overdispersion = field.overdispersion

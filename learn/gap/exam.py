@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -85,30 +85,28 @@ def sit(item: tuple[int, Spec]) -> dict[str, Any]:
 def grades(results: Sequence[dict[str, Any]]) -> dict[str, tuple[float | None, int]]:
     """Return every criterion's value and from how many cases it is, None where there is none."""
     kinds = {k: [r for r in results if r["kind"] == k] for k in ("null", "single", "pair", "outside")}
-    visible = [r for r in kinds["single"] if r["truth"]["visible_gap"] > r["noise"]]
-    first = [r for r in visible if _names(r)[:1] and _is_right(r, _names(r)[0])]
-    shown = [r for r in visible if _in_set(r)]
-    pairs = [r for r in kinds["pair"] if r["truth"]["visible_gap"] > r["noise"]]
+    visible, pairs = ([r for r in kinds[k] if r["truth"]["visible_gap"] > r["noise"]] for k in ("single", "pair"))
+    outside = [r for r in kinds["outside"] if r["truth"]["visible_gap"] > r["noise"]]
     shrunk = [r["verdict"]["gap"] for r in (*visible, *pairs)
               if r["verdict"]["gap"]["base"] > 3.0 * r["verdict"]["gap"]["noise_floor"]]  # fmt: skip
-    named = [r for r in first if r["truth"]["effects"][0]["joint"] is not None]
-    return {
-        WANTED[0][0]: _share(first, visible),
-        WANTED[1][0]: _share(shown, visible),
-        WANTED[2][0]: _share([r for r in results if _asserts_wrong(r)], results),
-        WANTED[3][0]: _share([r for r in kinds["null"] if r["verdict"]["verdict"] != "none"], kinds["null"]),
-        WANTED[4][0]: _share([r for r in kinds["outside"] if r["verdict"]["verdict"] == "unknown"],
-                             [r for r in kinds["outside"] if r["truth"]["visible_gap"] > r["noise"]]),
-        WANTED[5][0]: _share([r for r in pairs if _both(r)], pairs),
-        WANTED[6][0]: _share([r for r in pairs if _names(r) and not _asserts_wrong(r)], pairs),
-        WANTED[7][0]: _share([r for r in named if _joint_right(r)], named),
-        WANTED[8][0]: _median([g["base"] / g["repaired"] for g in shrunk]),
-        WANTED[9][0]: _median([g["repaired"] / g["noise_floor"] for g in shrunk]),
-    }  # fmt: skip
+    named = [r for r in visible if _right_first(r) and r["truth"]["effects"][0]["joint"] is not None]
+    values = (
+        _share(visible, _right_first),
+        _share(visible, _in_set),
+        _share(results, _asserts_wrong),
+        _share(kinds["null"], lambda r: r["verdict"]["verdict"] != "none"),
+        _share(outside, lambda r: r["verdict"]["verdict"] == "unknown"),
+        _share(pairs, _both),
+        _share(pairs, lambda r: bool(_names(r)) and not _asserts_wrong(r)),
+        _share(named, _joint_right),
+        _median([g["base"] / g["repaired"] for g in shrunk]),
+        _median([g["repaired"] / g["noise_floor"] for g in shrunk]),
+    )
+    return {name: value for (name, _, _), value in zip(WANTED, values, strict=True)}
 
 
-def _share(part: Sequence[Any], whole: Sequence[Any]) -> tuple[float | None, int]:
-    return (len([p for p in part if p in whole]) / len(whole) if whole else None), len(whole)
+def _share(cases: Sequence[dict[str, Any]], holds: Callable[[dict[str, Any]], bool]) -> tuple[float | None, int]:
+    return (sum(map(holds, cases)) / len(cases) if cases else None), len(cases)
 
 
 def _median(values: Sequence[float]) -> tuple[float | None, int]:
@@ -127,6 +125,10 @@ def _accepted(result: dict[str, Any]) -> set[str]:
 
 def _is_right(result: dict[str, Any], name: str) -> bool:
     return name in _accepted(result)
+
+
+def _right_first(result: dict[str, Any]) -> bool:
+    return any(_is_right(result, n) for n in _names(result)[:1])
 
 
 def _in_set(result: dict[str, Any]) -> bool:

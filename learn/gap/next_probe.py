@@ -26,8 +26,6 @@ from .decide import Field, probe_for
 from .refit import normal_equations
 from .search import Model, overdispersion
 
-#: Longest probe, in times of the case's longest recording.
-LONGEST = 3.0
 #: Evidence from which on a probe is worth making.
 ENOUGH = 12.0
 
@@ -161,10 +159,9 @@ def _worth(
     other = Contest(case, made, contest.sigma.cpu().numpy(), contest.names, device=contest.device)
     rows = [Rows(m.fit.rows.free, m.fit.rows.active, other.start0[None].clone(), m.fit.rows.free.new_ones(1, len(made)))
             for m in (model, rival)]  # fmt: skip
-    wanted = other.simulate(other.values(rows[0]), rows[0].start)
-    _, derivative, _ = other.linearise(rows[1])
-    missed = other.whiten(wanted - other.simulate(other.values(rows[1]), rows[1].start)).flatten()
-    j = derivative[0, : len(precision[1])].flatten(1)
+    other.measured = other.simulate(other.values(rows[0]), rows[0].start)[0].double()  # what the rival is held against
+    residual, derivative, _ = other.linearise(rows[1])
+    missed, j = residual.flatten(), derivative[0, : len(precision[1])].flatten(1)
     pull = j @ missed
     adapted = float(pull @ torch.linalg.solve(j @ j.T + precision[0], pull))
     return max(float(missed @ missed) - adapted, 0.0) / overdispersion(contest, model.chi2)
@@ -178,7 +175,7 @@ def recordings_of(case: BranchCase, before: Sequence[Recording], probe: ArmProbe
     axes = _axes(case)
     out: list[Recording] = []
     for push in probe.pushes:
-        t = np.arange(0.0, min(push.length, LONGEST) * longest, case.dt)
+        t = np.arange(0.0, push.length * longest, case.dt)
         share = t / max(t[-1], case.dt)
         held = share < push.free_from
         force = push.size * largest * np.where(held, push.course(share), 0.0)

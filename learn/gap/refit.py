@@ -36,6 +36,10 @@ class Fits:
     def __getitem__(self, index: torch.Tensor) -> Fits:
         return Fits(self.rows[index], self.chi2[index], self.cost[index], self.nuisance[index], self.damping[index])
 
+    def one(self, s: int) -> Fits:
+        """Return one row."""
+        return self[torch.tensor([s], device=self.chi2.device)]
+
     def __len__(self) -> int:
         return len(self.chi2)
 

@@ -115,7 +115,6 @@ def _moved_rows(contest: Contest, row: Rows, probes: Sequence[Probe]) -> tuple[R
     """Rows of all columns of all probes, and whose they are."""
     owner = [k for k, p in enumerate(probes) for _ in range(max(1, len(p.moved)))]
     rows = row[torch.zeros(len(owner), dtype=torch.long, device=contest.place)]
-    rows = Rows(rows.free.clone(), rows.active.clone(), rows.start, rows.weight)
     s = 0
     for probe in probes:
         candidate = contest.candidates[probe.candidate]
@@ -143,7 +142,6 @@ def step_of(contest: Contest, candidate: Candidate, entry: int) -> float:
 def start_rows(contest: Contest, basis: Basis, scan: Scan, chosen: Sequence[int]) -> Rows:
     """Return rows that set out from probes, the effect at the strength that the scan found and the rest answering."""
     rows = basis.fit.rows[torch.zeros(len(chosen), dtype=torch.long, device=contest.place)]
-    rows = Rows(rows.free.clone(), rows.active.clone(), rows.start.clone(), rows.weight.clone())
     for s, k in enumerate(chosen):
         probe, strength = scan.probes[k], scan.strength[k]
         candidate = contest.candidates[probe.candidate]

@@ -112,12 +112,12 @@ def reduced(contest: Contest, models: Sequence[Model]) -> list[Model]:
     rows, members = [], []
     for model in models:
         for c in model.members:
-            own = Rows(*(getattr(model.fit.rows, k).clone() for k in ("free", "active", "start", "weight")))
+            own = model.fit.rows.copy()
             own.active[:, list(contest.candidates[c].columns)] = False
             rows.append(own)
             members.append(tuple(m for m in model.members if m != c))
     fits = fit(contest, Rows.joined(rows), ITERATIONS[-1])
-    return [Model(m, fits[torch.tensor([s], device=contest.place)], True) for s, m in enumerate(members)]
+    return [Model(m, fits.one(s), True) for s, m in enumerate(members)]
 
 
 def moved(contest: Contest, models: Sequence[Model]) -> list[Model]:
@@ -129,7 +129,7 @@ def moved(contest: Contest, models: Sequence[Model]) -> list[Model]:
     for model in models:
         for c in model.members:
             for other in _same_law(contest, c, model.members):
-                own = Rows(*(getattr(model.fit.rows, k).clone() for k in ("free", "active", "start", "weight")))
+                own = model.fit.rows.copy()
                 old, new = (list(contest.candidates[k].columns) for k in (c, other))
                 own.active[:, old], own.active[:, new] = False, True
                 own.free[:, new] = torch.maximum(
@@ -140,7 +140,7 @@ def moved(contest: Contest, models: Sequence[Model]) -> list[Model]:
     if not rows:
         return []
     fits = fit(contest, Rows.joined(rows), sum(ITERATIONS[1:]))
-    return [Model(m, fits[torch.tensor([s], device=contest.place)], True) for s, m in enumerate(members)]
+    return [Model(m, fits.one(s), True) for s, m in enumerate(members)]
 
 
 def _same_law(contest: Contest, candidate: int, members: Sequence[int]) -> list[int]:
@@ -187,7 +187,7 @@ def _starts(contest: Contest, basis: Basis, scan: Scan, candidate: int) -> Rows:
 def refitted(contest: Contest, models: Sequence[Model], iterations: int) -> list[Model]:
     """Return models fitted further, after the noise model has changed; best first."""
     fits = fit(contest, Rows.joined([m.fit.rows for m in models]), iterations)
-    out = [Model(m.members, fits[torch.tensor([s], device=contest.place)], m.settled) for s, m in enumerate(models)]
+    out = [Model(m.members, fits.one(s), m.settled) for s, m in enumerate(models)]
     return sorted(out, key=lambda m: m.cost + penalty(contest, m.members))
 
 
@@ -198,7 +198,7 @@ def _halved(contest: Contest, rows: Rows, members: list[tuple[int, ...]], progre
         fits = fit(contest, rows, iterations, lambda n: progress("fitting", n))
         for s in torch.argsort(fits.cost).tolist():
             if members[s] not in done or float(fits.cost[s]) < done[members[s]].cost:
-                done[members[s]] = Model(members[s], fits[torch.tensor([s], device=contest.place)])
+                done[members[s]] = Model(members[s], fits.one(s))
         ranked = sorted(done, key=lambda key: done[key].cost + penalty(contest, key))
         if round_ + 1 < len(ITERATIONS):
             ahead = ranked[: FIELD[round_ + 1]]

@@ -62,7 +62,29 @@ class Directed(Law):
 
 
 @dataclass
-class Hysteresis(Law):
+class Turned(Law):
+    """A law that knows of the joint's turn from step to step and not of time, with a state z an axis [rad].
+
+    Attributes:
+        joint: Segment whose lower joint it is.
+    """
+
+    joint: int
+    fading = True
+
+    def begin(self, now: Now) -> None:
+        """Forget."""
+        self._last = now.angle(self.joint)
+        self._z = np.zeros_like(self._last)
+
+    def turn(self, now: Now) -> Array:
+        """Return the turn since the last step, about the segment's axes [rad]."""
+        before, self._last = self._last, now.angle(self.joint)
+        return self._last - before
+
+
+@dataclass
+class Hysteresis(Turned):
     """Bouc and Wen's element per axis: z' = w - beta |w| z - gamma w |z|, exponent one, torque -k z.
 
     Attributes:
@@ -72,28 +94,19 @@ class Hysteresis(Law):
         gamma: [1/rad].
     """
 
-    joint: int
     stiffness: float
     beta: float
     gamma: float
-    fading = True
-
-    def begin(self, now: Now) -> None:
-        """Forget."""
-        self._last = now.angle(self.joint)
-        self._z = np.zeros_like(self._last)
 
     def act(self, now: Now) -> None:
         """Add the torque; the equation does not know of time, so it is stepped by the angle."""
-        angle = now.angle(self.joint)
-        turn, z = angle - self._last, self._z
-        self._last = angle
+        turn, z = self.turn(now), self._z
         self._z = z + turn - self.beta * np.abs(turn) * z - self.gamma * turn * np.abs(z)
         now.twist(self.joint, -self.stiffness * self._z)
 
 
 @dataclass
-class Bristles(Law):
+class Bristles(Turned):
     """Dahl's friction, LuGre's without velocity: bristles bend with the joint and slip at T, whichever way it turns.
 
     Between steps exactly z = s + (z - s) exp(-|turn| / bend), s = bend turn / |turn|; the torque is -T z / bend.
@@ -106,20 +119,12 @@ class Bristles(Law):
         bend: Angle within which the bristles stick [rad].
     """
 
-    joint: int
     torque: float
     bend: float
-    fading = True
-
-    def begin(self, now: Now) -> None:
-        """Straighten the bristles."""
-        self._last = now.angle(self.joint)
-        self._z = np.zeros_like(self._last)
 
     def act(self, now: Now) -> None:
         """Add the torque."""
-        angle = now.angle(self.joint)
-        turn, self._last = angle - self._last, angle
+        turn = self.turn(now)
         way = np.sqrt((turn**2).sum(axis=-1, keepdims=True))
         slipping = self.bend * turn / np.maximum(way, 1e-300)
         self._z = slipping + (self._z - slipping) * np.exp(-way / self.bend)
