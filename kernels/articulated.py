@@ -232,7 +232,15 @@ def fold_link(
 ):  # fmt: skip
     """Add what the children handed in to a link's own inertia and fold the sum across its joint."""
     o = real(0.0, mass)
-    M = type(A)(mass, o, o, mass, o, mass)
+    fold_inertia(e, row, i, m, x, s, h, A, B, type(A)(mass, o, o, mass, o, mass), n0, f0, effort)
+
+
+@wp.func(inline=True)
+def fold_inertia(
+    e: int, row: int, i: int, m: Any, x: Any, s: Any, h: wp.float64, A: Any, B: Any, M: Any, n0: Any, f0: Any,
+    effort: Any,
+):  # fmt: skip
+    """Fold as `fold_link` does a link whose inertia against a push may depend on the push's direction."""
     kind = m.kind[e, i]
     if kind == SPHERICAL:
         if m.inner[e, i] == 1:

@@ -1,1 +1,10 @@
-"""Point clouds, embeddings, occlusion and touch: still an empty room in this release."""
+"""What robots sense: clouds of points, their kernel mean embeddings, occlusion, nearness.
+
+- `embed`, `occlusion`: of any torch clouds. `sensor`: of a simulator's worlds, straight into the observation.
+- `frequencies`: of the random Fourier features. `taichi_kernels`: the stateless ones for Taichi-based simulators; needs
+  the extra ``taichi``.
+"""
+
+from .embedding import embed, occlusion
+
+__all__ = ["embed", "occlusion"]

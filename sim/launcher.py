@@ -63,10 +63,11 @@ class Launcher:
         """Bytes of the smallest field's row: one real a place."""
         return (model.places + 1) * model.width * model.precision // 8
 
-    def field(self, kind: str) -> LaneArray:
+    def field(self, kind: str, places: int | None = None) -> LaneArray:
         """Return a zeroed working array, a row a thread on a CPU and a row a group on a GPU."""
         m = self.model
-        return LaneArray(kind, self._rows, m.places + 1, width=m.width, precision=m.precision, device=self.device)
+        count = m.places + 1 if places is None else places
+        return LaneArray(kind, self._rows, count, width=m.width, precision=m.precision, device=self.device)
 
     @property
     def nbytes(self) -> int:

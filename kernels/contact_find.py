@@ -1,0 +1,266 @@
+"""Finding contacts: spheres around capsules in the lanes of a group, then capsules against capsules world by world."""
+
+from typing import Any
+
+import warp as wp
+
+from .algebra import add, add_cross, cross, dot, mul, rotate, sub, sub_scaled
+from .arm import point_velocity
+from .collide import nearest_on_segments
+from .contact import BASE, GROUND, LINE, Contact, ContactRule, add_contact, lane_vec, meet
+from .real import any_neg, fma, lane, lane_neg, real, sqrt_
+
+__all__ = ["find_arm_contacts", "find_branch_contacts", "note_arm"]
+
+
+@wp.func
+def note_arm(w: int, row: int, lane_: int, a: Any, k: Any, rule: ContactRule, touch: Any):
+    """Write the middles of the arm's capsules, and the line's start and direction, where the group's lanes read them."""
+    n = a.shape_link.shape[0]
+    for c in range(n):
+        middle = 0.5 * (k.start[w, c] + k.end[w, c])
+        for axis in range(3):
+            touch.near_entry[row, c, axis, lane_] = middle[axis]
+    start = rule.line_start[w]
+    along = wp.normalize(rule.line_end[w] - start)
+    for axis in range(3):
+        touch.near_entry[row, n, axis, lane_] = start[axis]
+        touch.near_entry[row, n + 1, axis, lane_] = along[axis]
+
+
+@wp.func
+def crossing(p: wp.vec3, p1: wp.vec3, q: wp.vec3, q1: wp.vec3, reach: float):
+    """Gap, normal from q's capsule to p's and the point between their surfaces, of radii that sum to ``reach``."""
+    s, t = nearest_on_segments(p, p1, q, q1)
+    on_p = p + s * (p1 - p)
+    on_q = q + t * (q1 - q)
+    d = on_p - on_q
+    length = wp.length(d)
+    normal = wp.vec3(0.0, 0.0, 1.0)
+    if length > 1.0e-9:
+        normal = d / length
+    else:
+        across = wp.cross(p1 - p, q1 - q)
+        if wp.length(across) > 1.0e-12:
+            normal = wp.normalize(across)
+    return length - reach, normal, on_q
+
+
+# ---- the arm with what does not move, and with itself ----------------------------------------------------------------
+
+
+@wp.func
+def add_arm_contact(
+    w: int,
+    k: Any,
+    rule: ContactRule,
+    link: int,
+    other: int,
+    gap: float,
+    normal: wp.vec3,
+    point: wp.vec3,
+    v: Any,
+    h: float,
+):
+    """Keep a contact of the arm's link with the line or the ground (``other`` -1), or with another link."""
+    c = Contact()
+    c.link = 0
+    c.body = link
+    c.other = other
+    c.gap = gap
+    c.normal = normal
+    c.point = point
+    approach = point_velocity(w, k, link, point, v)
+    if other >= 0:
+        approach = approach - point_velocity(w, k, other, point, v)
+    add_contact(w, rule, meet(c, rule, w, approach, h))
+
+
+@wp.func
+def find_arm_contacts(w: int, a: Any, k: Any, rule: ContactRule, v: Any, reach: float, h: float):
+    """Find contacts of the arm with the line, the ground and itself, up to ``reach`` [m] away."""
+    for i in range(a.shape_link.shape[0]):
+        link = a.shape_link[i]
+        radius = a.shape_radius[i]
+        if link >= 0:
+            if rule.arm_line == 1:
+                gap, normal, point = crossing(
+                    k.start[w, i], k.end[w, i], rule.line_start[w], rule.line_end[w], radius + rule.line_radius
+                )
+                if gap < reach:
+                    on_surface = point + normal * (rule.line_radius + 0.5 * gap)
+                    add_arm_contact(w, k, rule, link, -1, gap, normal, on_surface, v, h)
+            if rule.has_ground == 1:
+                if link > 0:
+                    ground_arm(w, k, rule, link, k.start[w, i], radius, v, reach, h)
+                    ground_arm(w, k, rule, link, k.end[w, i], radius, v, reach, h)
+    if rule.arm_arm == 1:
+        for p in range(a.pair.shape[0]):
+            i = a.pair[p, 0]
+            j = a.pair[p, 1]
+            gap, normal, point = crossing(
+                k.start[w, j], k.end[w, j], k.start[w, i], k.end[w, i], a.shape_radius[i] + a.shape_radius[j]
+            )
+            if gap < reach:
+                on_surface = point + normal * (a.shape_radius[i] + 0.5 * gap)
+                add_arm_contact(w, k, rule, a.shape_link[j], a.shape_link[i], gap, normal, on_surface, v, h)
+
+
+@wp.func
+def ground_arm(
+    w: int, k: Any, rule: ContactRule, link: int, end: wp.vec3, radius: float, v: Any, reach: float, h: float
+):
+    """Find whether one end of a capsule of the arm touches the ground."""
+    gap = end[2] - radius - rule.ground
+    if gap < reach:
+        point = wp.vec3(end[0], end[1], rule.ground + 0.5 * gap)
+        add_arm_contact(w, k, rule, link, -1, gap, wp.vec3(0.0, 0.0, 1.0), point, v, h)
+
+
+# ---- branches ------------------------------------------------------------------------------------------------------
+
+
+@wp.func
+def add_branch_contact(
+    w: int, row: int, lane_: int, i: int, capsule: int, body: int, gap: float, normal: wp.vec3, point: wp.vec3,
+    k: Any, rule: ContactRule, s: Any, touch: Any, v: Any, h: float,
+):  # fmt: skip
+    """Keep a contact of a branch, with its velocity at the end of the step if nothing touched it (nominal)."""
+    c = Contact()
+    c.link = i
+    c.capsule = capsule
+    c.body = body
+    c.other = -1
+    c.gap = gap
+    c.normal = normal
+    c.point = point
+    c.lever = point - lane_vec(touch.at[row, i], lane_)
+    spin = lane_vec(s.spin[row, i], lane_)
+    nominal = lane_vec(s.accel0[row, i], lane_) - lane_vec(s.accel0[row, 0], lane_)
+    nominal = nominal + wp.cross(lane_vec(s.alpha0[row, i], lane_), c.lever)
+    nominal = nominal + wp.cross(spin, wp.cross(spin, c.lever))
+    now = lane_vec(touch.velocity[row, i], lane_) + wp.cross(spin, c.lever)
+    c.branch = now + h * nominal
+    approach = now
+    if body >= 0:
+        approach = approach - point_velocity(w, k, body, point, v)
+    add_contact(w, rule, meet(c, rule, w, approach, h))
+
+
+@wp.func
+def find_branch_contacts(
+    e: int, row: int, width: int, slot_world: wp.array(dtype=int), a: Any, k: Any, rule: ContactRule, shapes: Any,
+    s: Any, touch: Any, speed: Any, with_line: int, h: float,
+):  # fmt: skip
+    """Find contacts of all branches of a group. ``speed`` [m/s] is that of the arm's fastest point, lane by lane."""
+    arms = a.shape_link.shape[0]
+    for c in range(shapes.count[e]):
+        i = shapes.link[e, c]
+        pose = s.pose[row, i]
+        spin = s.spin[row, i]
+        middle = rotate(pose, shapes.middle[e, c])
+        bound = shapes.bound[e, c]
+        centre = touch.at[row, i] + middle
+        v = add_cross(touch.velocity[row, i], spin, middle)
+        pace = sqrt_(dot(v, v)) + sqrt_(dot(spin, spin)) * bound
+        reach = fma(pace + speed, real(h, bound), bound)
+        if rule.arm_branch == 1:
+            for j in range(arms):
+                d = centre - touch.near[row, j]
+                far = reach + real(rule.arm_bound[j], bound)
+                verdict = dot(d, d) - far * far
+                if any_neg(verdict):
+                    half = rotate(pose, shapes.half[e, c])
+                    for lane_ in range(width):
+                        if lane_neg(verdict, lane_):
+                            w = slot_world[e * width + lane_]
+                            if w >= 0:
+                                margin = lane(reach, lane_) - lane(bound, lane_)
+                                meet_arm(w, row, lane_, i, shapes.slot_capsule[e * width + lane_, c], j,
+                                         lane_vec(centre, lane_), lane_vec(half, lane_),
+                                         lane(shapes.radius[e, c], lane_), margin, a, k, rule, s, touch, h)  # fmt: skip
+        if with_line == 1:
+            d = centre - touch.near[row, arms]
+            along = touch.near[row, arms + 1]
+            off = sub_scaled(d, along, dot(d, along))
+            far = reach + real(rule.line_radius, bound)
+            verdict = dot(off, off) - far * far
+            if any_neg(verdict):
+                half = rotate(pose, shapes.half[e, c])
+                for lane_ in range(width):
+                    if lane_neg(verdict, lane_):
+                        w = slot_world[e * width + lane_]
+                        if w >= 0:
+                            margin = lane(reach, lane_) - lane(bound, lane_)
+                            meet_line(w, row, lane_, i, shapes.slot_capsule[e * width + lane_, c],
+                                      lane_vec(centre, lane_), lane_vec(half, lane_),
+                                      lane(shapes.radius[e, c], lane_), margin, k, rule, s, touch, h)  # fmt: skip
+        if rule.has_ground == 1:
+            verdict = centre.z - real(rule.ground, bound) - reach
+            if any_neg(verdict):
+                half = rotate(pose, shapes.half[e, c])
+                for lane_ in range(width):
+                    if lane_neg(verdict, lane_):
+                        w = slot_world[e * width + lane_]
+                        if w >= 0:
+                            margin = lane(reach, lane_) - lane(bound, lane_)
+                            p = lane_vec(centre, lane_)
+                            along_ = lane_vec(half, lane_)
+                            radius = lane(shapes.radius[e, c], lane_)
+                            capsule = shapes.slot_capsule[e * width + lane_, c]
+                            meet_ground(w, row, lane_, i, capsule, p - along_, radius, margin, k, rule, s, touch, h)
+                            meet_ground(w, row, lane_, i, capsule, p + along_, radius, margin, k, rule, s, touch, h)
+
+
+@wp.func
+def meet_arm(
+    w: int, row: int, lane_: int, i: int, capsule: int, j: int, middle: wp.vec3, half: wp.vec3, radius: float,
+    margin: float, a: Any, k: Any, rule: ContactRule, s: Any, touch: Any, h: float,
+):  # fmt: skip
+    """A branch's capsule against one of the arm's."""
+    if capsule >= 0:
+        gap, normal, point = crossing(
+            middle - half, middle + half, k.start[w, j], k.end[w, j], radius + a.shape_radius[j]
+        )
+        if gap < margin:
+            body = a.shape_link[j]
+            if body < 0:
+                body = BASE
+            on_surface = point + normal * (a.shape_radius[j] + 0.5 * gap)
+            add_branch_contact(
+                w, row, lane_, i, capsule, body, gap, normal, on_surface, k, rule, s, touch, k.velocity[w], h
+            )
+
+
+@wp.func
+def meet_line(
+    w: int, row: int, lane_: int, i: int, capsule: int, middle: wp.vec3, half: wp.vec3, radius: float, margin: float,
+    k: Any, rule: ContactRule, s: Any, touch: Any, h: float,
+):  # fmt: skip
+    """A branch's capsule against the line, in the worlds whose mask lets them touch."""
+    if capsule >= 0:
+        if rule.line_mask[w] == 1:
+            gap, normal, point = crossing(
+                middle - half, middle + half, rule.line_start[w], rule.line_end[w], radius + rule.line_radius
+            )
+            if gap < margin:
+                on_surface = point + normal * (rule.line_radius + 0.5 * gap)
+                add_branch_contact(
+                    w, row, lane_, i, capsule, LINE, gap, normal, on_surface, k, rule, s, touch, k.velocity[w], h
+                )
+
+
+@wp.func
+def meet_ground(
+    w: int, row: int, lane_: int, i: int, capsule: int, end: wp.vec3, radius: float, margin: float, k: Any,
+    rule: ContactRule, s: Any, touch: Any, h: float,
+):  # fmt: skip
+    """One end of a branch's capsule against the ground."""
+    if capsule >= 0:
+        gap = end[2] - radius - rule.ground
+        if gap < margin:
+            point = wp.vec3(end[0], end[1], rule.ground + 0.5 * gap)
+            add_branch_contact(
+                w, row, lane_, i, capsule, GROUND, gap, wp.vec3(0.0, 0.0, 1.0), point, k, rule, s, touch,
+                k.velocity[w], h,
+            )  # fmt: skip

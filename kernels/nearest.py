@@ -1,0 +1,258 @@
+"""Pairs of points: how many are closer than a threshold, and the closest ones.
+
+The squared distance is d2 = fma(dz, dz, fma(dy, dy, dx dx)) in float32 everywhere; "closer than d" means d2 < d d in
+float32. Its rounding is monotone in |dx|, |dy| and |dz|, so the same formula on the gaps between the boxes of two
+chunks never exceeds the d2 of a pair of their points: chunks are left out without changing a bit of the result.
+
+- Occlusion (thesis eq. 5.6): of the k closest pairs of two clouds, the share closer than d_th, which is
+  min(k, number of pairs closer than d_th) / k.
+- Safety margin (thesis eq. 5.7): whether the mean distance of the 5 closest pairs is below d_sm. If the fifth distance
+  is 5 d_sm or more the mean is not below, so farther pairs need no look.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from .lanes import below, lane_sum, max_
+from .point_cloud import BRANCHES, ROBOT, TARGET, cloud_types
+from .real import SOURCE, add, any_neg, fma, lane, lane_neg, mul, real, sub
+
+__all__ = ["NEAREST", "finish_kernel", "nearest_kernel", "occlusion_kernel"]
+
+NEAREST = 5
+Few = wp.types.vector(5, wp.float32)
+
+
+@wp.func
+def squared(x: Any, y: Any, z: Any):
+    """x^2 + y^2 + z^2, fused."""
+    return fma(z, z, fma(y, y, x * x))
+
+
+@wp.func
+def keep_least(best: Few, value: float):
+    """Insert a value into an ascending list, whose greatest falls out."""
+    out = best
+    v = wp.float32(value)
+    for i in range(5):
+        low = wp.min(out[i], v)
+        v = wp.max(out[i], v)
+        out[i] = low
+    return out
+
+
+@wp.func
+def box_gap(w: int, a: int, j: int, b: int, g: int, c: Any):
+    """Least squared distance that points of chunk j of cloud a and of each chunk of group g of cloud b can have."""
+    zero = real(0.0, c.box[w, b, 0, g])
+    x = max_(max_(c.box[w, b, 0, g] - c.bound[w, a, 3, j], c.bound[w, a, 0, j] - c.box[w, b, 3, g]), zero)
+    y = max_(max_(c.box[w, b, 1, g] - c.bound[w, a, 4, j], c.bound[w, a, 1, j] - c.box[w, b, 4, g]), zero)
+    z = max_(max_(c.box[w, b, 2, g] - c.bound[w, a, 5, j], c.bound[w, a, 2, j] - c.box[w, b, 5, g]), zero)
+    return squared(x, y, z)
+
+
+@wp.func
+def count_chunk(w: int, a: int, j: int, b: int, other: int, limit: float, lanes: int, c: Any):
+    """Count the pairs of chunk j of cloud a and chunk ``other`` of cloud b with d2 < limit."""
+    x = c.point[w, b, 0, other]
+    y = c.point[w, b, 1, other]
+    z = c.point[w, b, 2, other]
+    bound = real(limit, x)
+    hits = real(0.0, x)
+    for p in range(j * lanes, (j + 1) * lanes):
+        d2 = squared(x - c.flat[w, a, 0, p], y - c.flat[w, a, 1, p], z - c.flat[w, a, 2, p])
+        hits = hits + below(d2, bound)
+    return int(lane_sum(hits))
+
+
+@wp.func
+def count_lanes(w: int, a: int, b: int, limit: float, most: int, lanes: int, c: Any):
+    """Count pairs with d2 < limit up to ``most``, chunk by chunk, those apart left out."""
+    count = wp.int32(0)
+    for j in range(c.point.shape[3]):
+        for g in range(c.box.shape[3]):
+            miss = box_gap(w, a, j, b, g, c) - limit
+            if any_neg(miss):
+                for i in range(lanes):
+                    if lane_neg(miss, i):
+                        count = count + count_chunk(w, a, j, b, g * lanes + i, limit, lanes, c)
+                        if count >= most:
+                            return most
+    return count
+
+
+@wp.func
+def count_points(w: int, a: int, b: int, limit: float, most: int, t: int, team: int, c: Any):
+    """Count pairs with d2 < limit up to ``most``, of every ``team``-th point of cloud a from t."""
+    count = wp.int32(0)
+    points = c.flat.shape[3]
+    for p in range(t, points, team):
+        x = c.flat[w, a, 0, p]
+        y = c.flat[w, a, 1, p]
+        z = c.flat[w, a, 2, p]
+        for q in range(points):
+            if squared(c.flat[w, b, 0, q] - x, c.flat[w, b, 1, q] - y, c.flat[w, b, 2, q] - z) < limit:
+                count = count + 1
+        if count >= most:
+            return most
+    return count
+
+
+@cache
+def occlusion_kernel(width: int = 1) -> Any:
+    """Return the kernel that counts branch-target pairs with d2 < limit, up to ``most``.
+
+    On a CPU one thread takes a world. On a GPU thread (t, world) takes every T-th branch point from t; a count cannot
+    depend on the order it is added up in. ``count_out`` [worlds, T].
+    """
+    t = cloud_types(width)
+    Clouds, W = t.Clouds, width
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def occlusion(c_in: Clouds, limit: float, most: int, first: int, count_out: wp.array2d(dtype=int)):
+        tag = SOURCE  # noqa: F841
+        t, i = wp.tid()
+        w = first + i
+        count = wp.int32(0)
+        if c_in.present[w, BRANCHES] * c_in.present[w, TARGET] > 0:
+            if wp.static(W > 1):
+                count = count_lanes(w, BRANCHES, TARGET, limit, most, W, c_in)
+            else:
+                count = count_points(w, BRANCHES, TARGET, limit, most, t, count_out.shape[1], c_in)
+        count_out[w, t] = count
+
+    return occlusion
+
+
+@wp.func
+def keep_chunk(w: int, b: int, other: int, x: float, y: float, z: float, best: Few, lanes: int, c: Any):
+    """Insert the squared distances between (x, y, z) and the points of chunk ``other`` of cloud b."""
+    out = best
+    d2 = squared(c.point[w, b, 0, other] - x, c.point[w, b, 1, other] - y, c.point[w, b, 2, other] - z)
+    if any_neg(d2 - out[4]):
+        for i in range(lanes):
+            d = lane(d2, i)
+            if d < out[4]:
+                out = keep_least(out, d)
+    return out
+
+
+@wp.func
+def closest_points(w: int, b: int, place: wp.vec3, limit: float, t: int, team: int, lanes: int, c: Any):
+    """Squared distances below ``limit`` of the points of cloud b closest to a place, of every ``team``-th chunk."""
+    best = Few(limit)
+    for other in range(t, c.point.shape[3], team):
+        best = keep_chunk(w, b, other, place[0], place[1], place[2], best, lanes, c)
+    return best
+
+
+@wp.func
+def closest_pairs_lanes(w: int, a: int, b: int, limit: float, lanes: int, c: Any):
+    """Squared distances below ``limit`` of the closest pairs, chunk by chunk, those apart left out.
+
+    Chunks of cloud a are taken from the last, the hand's: the sooner close pairs are found the more is left out.
+    """
+    best = Few(limit)
+    chunks = c.point.shape[3]
+    for back in range(chunks):
+        j = chunks - 1 - back
+        for g in range(c.box.shape[3]):
+            gap = box_gap(w, a, j, b, g, c)
+            if any_neg(gap - best[4]):
+                for i in range(lanes):
+                    if lane(gap, i) < best[4]:
+                        for p in range(j * lanes, (j + 1) * lanes):
+                            x = c.flat[w, a, 0, p]
+                            y = c.flat[w, a, 1, p]
+                            z = c.flat[w, a, 2, p]
+                            best = keep_chunk(w, b, g * lanes + i, x, y, z, best, lanes, c)
+    return best
+
+
+@wp.func
+def closest_pairs(w: int, a: int, b: int, limit: float, t: int, team: int, c: Any):
+    """Squared distances below ``limit`` of the closest pairs, of every ``team``-th point of cloud a from t."""
+    best = Few(limit)
+    points = c.flat.shape[3]
+    for p in range(t, points, team):
+        x = c.flat[w, a, 0, p]
+        y = c.flat[w, a, 1, p]
+        z = c.flat[w, a, 2, p]
+        for q in range(points):
+            d2 = squared(c.flat[w, b, 0, q] - x, c.flat[w, b, 1, q] - y, c.flat[w, b, 2, q] - z)
+            if d2 < best[4]:
+                best = keep_least(best, d2)
+    return best
+
+
+@cache
+def nearest_kernel(width: int = 1) -> Any:
+    """Return the kernel that finds the least squared distances [m^2]: end-effector to branches, and robot to target.
+
+    Threads as in `occlusion_kernel`. ``point_out`` and ``pair_out`` [worlds, T] hold five each, ascending; what is not
+    closer than ``far`` and ``limit`` (squared distances) holds these.
+    """
+    t = cloud_types(width)
+    Clouds, W = t.Clouds, width
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def nearest(
+        c_in: Clouds, place_in: wp.array(dtype=wp.vec3), far: float, limit: float, first: int,
+        point_out: wp.array2d(dtype=Few), pair_out: wp.array2d(dtype=Few),
+    ):  # fmt: skip
+        tag = SOURCE  # noqa: F841
+        t, i = wp.tid()
+        w = first + i
+        team = point_out.shape[1]
+        point = Few(far)
+        pair = Few(limit)
+        if c_in.present[w, BRANCHES] > 0:
+            point = closest_points(w, BRANCHES, place_in[w], far, t, team, W, c_in)
+        if c_in.present[w, ROBOT] * c_in.present[w, TARGET] > 0:
+            if wp.static(W > 1):
+                pair = closest_pairs_lanes(w, ROBOT, TARGET, limit, W, c_in)
+            else:
+                pair = closest_pairs(w, ROBOT, TARGET, limit, t, team, c_in)
+        point_out[w, t] = point
+        pair_out[w, t] = pair
+
+    return nearest
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def finish_kernel(
+    count_in: wp.array2d(dtype=int), point_in: wp.array2d(dtype=Few), pair_in: wp.array2d(dtype=Few), most: int,
+    margin: float, column: wp.array(dtype=int), first: int, tick_out: wp.array(dtype=int),
+    occlusion_out: wp.array(dtype=wp.float32), distances_out: wp.array2d(dtype=wp.float32),
+    breach_out: wp.array(dtype=wp.float32), observation_out: wp.array2d(dtype=wp.float32),
+):  # fmt: skip
+    """Join what the threads of a world found, write scores and the observation's columns, count the tick."""
+    tag = SOURCE  # noqa: F841
+    w = first + wp.tid()
+    count = wp.int32(0)
+    point = point_in[w, 0]
+    pair = pair_in[w, 0]
+    for t in range(count_in.shape[1]):
+        count = count + count_in[w, t]
+        if t > 0:
+            for i in range(5):
+                point = keep_least(point, point_in[w, t][i])
+                pair = keep_least(pair, pair_in[w, t][i])
+    score = float(wp.min(count, most)) / float(most)
+    total = wp.float32(0.0)
+    for i in range(5):
+        distance = wp.sqrt(point[i])
+        distances_out[w, i] = distance
+        if column[0] >= 0:
+            observation_out[w, column[0] + i] = distance
+        total = total + wp.sqrt(pair[i])
+    breach = wp.where(total < 5.0 * margin, 1.0, 0.0)
+    occlusion_out[w] = score
+    breach_out[w] = breach
+    if column[1] >= 0:
+        observation_out[w, column[1]] = breach
+    if column[2] >= 0:
+        observation_out[w, column[2]] = score
+    tick_out[w] = tick_out[w] + 1

@@ -1,0 +1,103 @@
+"""``bough play``: watch a policy, as a film rendered without a screen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from ..sim.console import bar, shown, start_warp
+from ..sim.errors import InputError
+from ..sim.files import output_folder
+from .play import Film
+from .ppo_settings import preset_of
+from .task import TaskRegistry, builtin_tasks, require_rsl_rl, unseen_seed
+
+if TYPE_CHECKING:
+    from .evaluate import Policy
+    from .task import Task
+
+
+@dataclass(frozen=True)
+class Play:
+    """Film one episode of a policy in an unseen world with all contacts on.
+
+    Writes film.gif, or the folder frames with a PNG each. Exit code 0: done; 2: bad input, nothing written.
+
+    Attributes:
+        policy: Folder that bough train wrote, or zero (the arm is let be) or random (actions drawn evenly).
+        out: Folder to write to.
+        task: Task of zero and random; a run has its own.
+        seed: Seed of the world; bough evaluate's first world of the first set is that of seed 0.
+        seconds: Simulated time; the whole episode if not given.
+        fps: Pictures per simulated second; the film runs in real time.
+        film: gif, an animation, or png, numbered pictures.
+        device: cpu, cuda or cuda:N; a GPU if there is one.
+    """
+
+    policy: tyro.conf.Positional[str]
+    out: Path
+    task: str | None = None
+    seed: int = 0
+    seconds: float | None = None
+    fps: float = 20.0
+    film: Film = "gif"
+    device: str | None = None
+
+    def run(self, registry: TaskRegistry | None = None) -> int:
+        """Play, say what happened and what was written; return the exit code."""
+        self._check()
+        require_rsl_rl()
+        start_warp()
+        registry = registry or builtin_tasks()
+        from .play import Episode, write_film
+
+        task, policy = self._cast(registry)
+        every = max(1, round(1.0 / (self.fps * task.step_seconds)))
+        steps = None if self.seconds is None else max(1, round(self.seconds / task.step_seconds))
+        with output_folder(self.out) as work, bar("playing", None) as advance:
+            episode = Episode(task, policy, steps=steps, every=every, progress=advance)
+            name = write_film(work, episode, self.film, 1.0 / (every * task.step_seconds))
+        seconds = episode.done * task.step_seconds
+        print(f"{task.name}, {self.policy}: {seconds:.1f} s, {_outcome(episode.metrics)}, {episode.pictures} pictures. "
+              f"Wrote {shown(self.out / name)}")  # fmt: skip
+        return 0
+
+    def _check(self) -> None:
+        """Raise `InputError` for numbers that cannot be."""
+        if not 0.0 < self.fps <= 50.0:
+            raise InputError("play", "--fps", f"{self.fps:g}", "above 0, up to 50")
+        if self.seconds is not None and not self.seconds > 0.0:
+            raise InputError("play", "--seconds", f"{self.seconds:g}", "above 0")
+        if self.seed < 0:
+            raise InputError("play", "--seed", str(self.seed), "0 or more")
+
+    def _cast(self, registry: TaskRegistry) -> tuple[Task, Policy]:
+        """Return the task with one world, and who acts in it."""
+        from .evaluate import random, read_policy, zero
+        from .processes import Processes
+        from .run_folder import RunFolder
+
+        seed, device = unseen_seed(self.seed, 0), Processes().device(self.device)
+        if self.policy not in ("zero", "random"):
+            trained = read_policy(RunFolder(Path(self.policy)), registry)
+            if self.task not in (None, trained.name):
+                raise InputError("play", "--task", str(self.task), f"{trained.name}, the run's own, or none")
+            task = registry.make(trained.name, trained.settings, num_envs=1, seed=seed, device=device, test=True)
+            return task, trained.on(task)
+        if self.task is None:
+            raise InputError("play", "--task", "nothing", ", ".join(registry.names))
+        registry.check_name(self.task)
+        task = registry.make(
+            self.task, registry.presets[preset_of(device)], num_envs=1, seed=seed, device=device, test=True
+        )
+        return task, zero(task) if self.policy == "zero" else random(task, seed)
+
+
+def _outcome(metrics: dict[str, float] | None) -> str:
+    if metrics is None:
+        return "stopped before the end of the episode"
+    won = "cleared" if metrics["success"] > 0 else "not cleared"
+    return f"{won}, occlusion drop {100 * metrics['occlusion_drop']:.0f} %"

@@ -1,0 +1,53 @@
+"""All that a simulator with an arm carries from one step to the next, as tensors on its own memory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import warp as wp
+
+from ...sim.arm_simulator import ArmSimulator
+
+
+def simulator_tensors(sim: ArmSimulator) -> dict[str, torch.Tensor]:
+    """Return views by name: what is copied from them and later back into them puts the simulator back to the bit."""
+    state = sim.state
+    out = {
+        "coordinate": state.coordinate.torch, "velocity": state.velocity.torch, "alive": state.alive.torch,
+        "fault link": state.fault_link, "fault tick": state.fault_tick, "tick": wp.to_torch(state._tick),
+        "start q": sim.start_q, "capsule start": raw(sim.capsules.start), "capsule end": raw(sim.capsules.end),
+    }  # fmt: skip
+    _, arm, work = sim._arm.kernel
+    for label, struct in (("arm", arm), ("work", work)):
+        out |= {f"{label} {name}": raw(getattr(struct, name)) for name in struct._cls.vars}
+    return out | {f"touch {name}": raw(array) for name, array in sim._touch.warp.items()}
+
+
+def raw(array: Any) -> torch.Tensor:
+    """Return the bytes of a contiguous Warp array of any type, uint8 [bytes], without a copy."""
+    size = array.size * wp.types.type_size_in_bytes(array.dtype)
+    view: Any = wp.array(ptr=array.ptr, shape=(size,), dtype=wp.uint8, device=array.device)
+    tensor: torch.Tensor = wp.to_torch(view)
+    tensor._owner = array  # type: ignore[attr-defined]  # a view by pointer does not keep what it points to
+    return tensor
+
+
+def copies(tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Return copies on the same device."""
+    return {name: tensor.clone() for name, tensor in tensors.items()}
+
+
+def put_back(tensors: dict[str, torch.Tensor], snapshot: dict[str, torch.Tensor]) -> None:
+    """Copy a snapshot into the tensors that it was taken from.
+
+    Raises:
+        ValueError: Names or shapes differ.
+    """
+    if set(tensors) != set(snapshot):
+        raise ValueError(f"a snapshot of another task: {sorted(set(tensors) ^ set(snapshot))}")
+    for name, tensor in tensors.items():
+        if tensor.shape != snapshot[name].shape:
+            raise ValueError(f"{name}: shape {tuple(snapshot[name].shape)}, not {tuple(tensor.shape)}")
+    for name, tensor in tensors.items():
+        tensor.copy_(snapshot[name])

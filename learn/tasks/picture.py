@@ -1,0 +1,64 @@
+"""Pictures of a world: arm, branches, target and ground, ray-traced."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+import warp as wp
+from numpy.typing import NDArray
+
+from ...sim.arm_simulator import ArmSimulator
+from ...sim.export_mesh import capsules_mesh, level_color
+from ...sim.render import Mesh, Sunlight, View, develop, trace
+from ...sim.scene import Scene
+from ...sim.tree import Array
+
+WIDTH, HEIGHT, SAMPLES = 480, 360, 4
+ARM, LINE = (0.75, 0.75, 0.78), (0.70, 0.10, 0.08)
+"""Colours of the arm and of the target, sRGB."""
+
+_EYE = 1.9  # distance of the camera from the middle [m]
+
+
+def world_picture(sim: ArmSimulator, scene: Scene, world: int) -> NDArray[np.uint8]:
+    """Return a picture of one world, seen from the side of the line that the arm is on, [height, width, 3]."""
+    start, end, radius, color = _solids(sim, scene, world)
+    used = radius > 0.0
+    thick = np.repeat(radius[used, None], 2, axis=1)
+    vertices, faces = capsules_mesh(start[used], end[used], thick, sides=10, cap_rings=3)
+    colors = np.repeat(color[used], len(vertices) // int(used.sum()), axis=0)
+    ground = min(0.0, float(_host(scene.root)[world, 2]))
+    mesh = Mesh(vertices, faces, colors, np.zeros(len(vertices)), ground, 1.0)
+    radiance = trace(mesh, _view(sim, scene, world), Sunlight(), WIDTH, HEIGHT, samples=SAMPLES, detail=0.0,
+                     device=str(sim.model.device))  # fmt: skip
+    return develop(radiance)
+
+
+def _host(tensor: torch.Tensor) -> Array:
+    return tensor.detach().cpu().numpy().astype(np.float64)
+
+
+def _solids(sim: ArmSimulator, scene: Scene, world: int) -> tuple[Array, Array, Array, Array]:
+    """Capsules of arm, branches and target of one world, and their colours."""
+    c = sim.capsules
+    start, end, radius = (_host(wp.to_torch(a)[world]) for a in (c.start, c.end, c.radius))
+    tree = sim.model.trees[world]
+    color = np.zeros((len(radius), 3))
+    color[: c.num_arm] = ARM
+    color[c.num_arm : c.num_arm + len(tree.shape_link)] = level_color(tree.level[tree.shape_link])
+    axes = [_host(wp.to_torch(a)[world]) for a in (scene.target.start, scene.target.end)]
+    size = np.full(len(axes[0]), sim.line.radius)
+    parts = ((start, axes[0]), (end, axes[1]), (radius, size), (color, np.tile(LINE, (len(size), 1))))
+    joined = [np.concatenate(pair) for pair in parts]
+    return joined[0], joined[1], joined[2], joined[3]
+
+
+def _view(sim: ArmSimulator, scene: Scene, world: int) -> View:
+    """Look across the line, from a little above, at the middle between the arm's base and the line."""
+    start, end = _host(sim.line_start)[world], _host(sim.line_end)[world]
+    outward = _host(scene.root)[world] * [1.0, 1.0, 0.0]
+    outward /= max(float(np.linalg.norm(outward)), 1e-9)
+    side = np.cross([0.0, 0.0, 1.0], outward)
+    middle = 0.6 * (start + end) / 2 + 0.4 * np.array([0.0, 0.0, 0.4])
+    position = middle + _EYE * (0.86 * side - 0.30 * outward + np.array([0.0, 0.0, 0.35]))
+    return View((position[0], position[1], position[2]), (middle[0], middle[1], middle[2]), fov=42.0)

@@ -1,0 +1,310 @@
+"""The robot's sense of space: clouds of points on arm, branches and target, and what the policy sees of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+import warp as wp
+
+from ..kernels.embedding import embed_clouds_kernel
+from ..kernels.nearest import Few, finish_kernel, nearest_kernel, occlusion_kernel
+from ..kernels.point_cloud import NUM_CLOUDS, Shapes, cloud_types, sample_kernel
+from ..sim import arrays
+from ..sim.errors import InputError
+from ..sim.host import num_threads, simd_width
+from ..sim.launcher import _together
+from .frequencies import draw_frequencies
+
+#: First columns of what `Sensor.update` writes, in the 88 numbers of the thesis's table 5.1.
+COLUMNS: Mapping[str, int] = {
+    "wbr": 16, "zbr": 32, "clr": 48, "rob": 64, "distances": 81, "breach": 86, "occlusion": 87,
+}  # fmt: skip
+_EMBEDDED = ("rob", "clr", "wbr", "zbr")
+_LOCAL = ("distances", "breach", "occlusion")
+_BEYOND = 1.001  # the mean of five distances is not below the margin if the fifth is five margins, rounding included
+_TEAM = 32  # GPU threads that share a world's pairs of points
+_NONE_NEAR = 1.0e18  # m, where the box of a chunk that does not exist begins
+
+
+class Capsules(Protocol):
+    """Capsules of all worlds, Warp arrays: ends of axes vec3 [worlds, S] in m, radius [worlds, S], 0 for none."""
+
+    start: Any
+    end: Any
+    radius: Any
+    num_arm: int
+
+
+class Target(Protocol):
+    """What is to be cleared, Warp arrays: ends of its axis vec3 [worlds], or of several [worlds, T], in m."""
+
+    start: Any
+    end: Any
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """How clouds are drawn and scored; defaults are the thesis's (5.3.3-5.3.6).
+
+    Attributes:
+        points: Points of a cloud, a multiple of 16.
+        features: Frequencies R; a cloud's embedding has 2 R numbers.
+        bandwidth: gamma of the kernel exp(-|x - y|^2 / (2 gamma^2)) [m].
+        frequency_seed: Seed of the frequencies; a policy needs those that it was trained with.
+        pairs: k of the occlusion score.
+        threshold: Distance d_th below which a branch-target pair occludes [m].
+        margin: Safety margin d_sm [m].
+        clearance: Radius of the target's surface about its axis [m].
+        rounded: Whether the target has round ends, as a sphere has (start = end); the power line has only its side.
+        zoom: Distance from the target's axis within which branch points belong to the zoomed cloud [m].
+        farthest: Distance reported where there is no branch point, and the greatest reported [m].
+    """
+
+    points: int = 512
+    features: int = 8
+    bandwidth: float = 1.0
+    frequency_seed: int = 0
+    pairs: int = 200
+    threshold: float = 0.10
+    margin: float = 0.04
+    clearance: float = 0.05
+    rounded: bool = False
+    zoom: float = 0.30
+    farthest: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that mean nothing."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name != "frequency_seed" and not isinstance(value, bool) and not 0 < value < math.inf:
+                raise InputError("sensor", field.name, str(value), "a number above zero")
+        if self.points % 16:
+            raise InputError("sensor", "points", str(self.points), "a multiple of 16")
+
+
+class Sensor:
+    """Draws clouds for all worlds, embeds them, and scores occlusion and nearness, straight into the observation.
+
+    All memory is allocated here; `update` launches kernels and nothing else, on a GPU in the current stream. Numbers
+    depend on (seed, world, tick) and the scene alone.
+
+    Attributes:
+        occlusion: Share of the ``pairs`` closest branch-target pairs closer than ``threshold``, torch view [worlds].
+        breach: 1 where robot and target are closer than the margin, else 0, float32 torch view [worlds].
+        distances: The 5 least distances from end-effector to branch points, ascending [m], torch view [worlds, 5].
+        max_noise: d_max, three deviations of the noise on every coordinate [m], torch view [worlds], to be written.
+        tick: Number of the next draw of each world, int32 torch view [worlds]; write it to go on from a snapshot.
+        points: Clouds robot, target, branches [m], torch view [worlds, 3, 3, points], coordinates before points.
+            Neighbours in memory are neighbours in space.
+        near: 1 for branch points of the zoomed cloud, torch view [worlds, points].
+        frequencies: w_r [rad/m], float32 torch tensor [R, 3] on the sensor's device.
+    """
+
+    def __init__(
+        self,
+        capsules: Capsules,
+        target: Target,
+        ee_position: wp.array,
+        settings: SensorSettings | None = None,
+        *,
+        seed: int = 0,
+        device: Any = None,
+        threads: int | None = None,
+        width: int | None = None,
+    ) -> None:
+        """Allocate everything that sensing needs.
+
+        Args:
+            capsules: What points are drawn on; read anew at every update.
+            target: The region to be cleared.
+            ee_position: End-effector, vec3 [worlds], in m.
+            settings: How to draw and score.
+            seed: Seed of the points and their noise, any integer of 31 bits.
+            device: Warp device; None is that of the capsules.
+            threads: CPU threads; None takes all cores.
+            width: Points a lane vector; None takes what the processor has, 1 on a GPU.
+        """
+        self.settings = settings or SensorSettings()
+        self.device = wp.get_device(device if device is not None else capsules.start.device)
+        self.num_worlds = int(capsules.start.shape[0])
+        cuda = self.device.is_cuda
+        self.width = width or (1 if cuda else simd_width())
+        wanted = num_threads() if threads is None else threads
+        self._worlds_inside = self.width == 1 and arrays.link_major(self.device)
+        self.threads = 1 if cuda else max(1, min(wanted, self.num_worlds))
+        self._seed, self._num_arm, self._ee = int(seed), int(capsules.num_arm), ee_position
+        self._capsules = _shapes(capsules.start, capsules.end, capsules.radius)
+        self._target = self._target_shapes(target)
+        self._allocate_clouds()
+        self._allocate_outputs(_TEAM if self._worlds_inside else 1)
+        self._updates: dict[bool, Callable[[], None]] = {}
+        self._bound = 0
+
+    # ---- memory --------------------------------------------------------------------------------------------------
+
+    def _target_shapes(self, target: Target) -> Any:
+        """Shapes [worlds, T] of the target, seen through its own memory."""
+        start, end = (a.reshape((self.num_worlds, -1)) if a.ndim == 1 else a for a in (target.start, target.end))
+        self._clearance = wp.full(start.shape, self.settings.clearance, dtype=wp.float32, device=self.device)
+        return _shapes(start, end, self._clearance)
+
+    def _allocate_clouds(self) -> None:
+        """Clouds lie [world, cloud, axis, point] on a CPU, worlds innermost on a GPU (neighbouring threads)."""
+        n, count, width = self.num_worlds, self.settings.points, self.width
+        groups = -(-(count // width) // width)
+        self._memory = {
+            "flat": self._zeros((n, NUM_CLOUDS, 3, count)),
+            "near": self._zeros((n, count)),
+            "bound": self._zeros((n, NUM_CLOUDS, 6, groups * width) if width > 1 else (1, 1, 1, 1)),
+            "present": wp.zeros((n, NUM_CLOUDS), dtype=int, device=self.device),
+        }
+        bound = wp.to_torch(self._memory["bound"])
+        bound[:, :, :3] = _NONE_NEAR
+        bound[:, :, 3:] = -_NONE_NEAR
+        self._clouds = cloud_types(width).Clouds()
+        for name, view in (("flat", "point"), ("near", "near"), ("bound", "box")):
+            setattr(self._clouds, view, self._lanes(self._memory[name]))
+        for name in ("flat", "bound", "present"):
+            setattr(self._clouds, name, self._memory[name])
+        self.points: torch.Tensor = wp.to_torch(self._memory["flat"])
+        self.near: torch.Tensor = wp.to_torch(self._memory["near"])
+
+    def _zeros(self, shape: tuple[int, ...]) -> wp.array:
+        if not self._worlds_inside:
+            return wp.zeros(shape, dtype=wp.float32, device=self.device)
+        inner = wp.zeros((*shape[1:], shape[0]), dtype=wp.float32, device=self.device)
+        return inner.transpose((len(shape) - 1, *range(len(shape) - 1)))
+
+    def _lanes(self, memory: wp.array) -> wp.array:
+        """Return the memory seen as lane vectors along its last axis."""
+        if self.width == 1:
+            return memory
+        shape = (*memory.shape[:-1], memory.shape[-1] // self.width)
+        view: Any = wp.array(ptr=memory.ptr, shape=shape, dtype=cloud_types(self.width).Real, device=self.device)
+        view._memory = memory  # a view by pointer does not keep what it points to
+        return view
+
+    def _allocate_outputs(self, team: int) -> None:
+        s, n, on = self.settings, self.num_worlds, {"device": self.device}
+        self._occlusion, self._breach, self._max_noise = (wp.zeros(n, dtype=wp.float32, **on) for _ in range(3))
+        self._distances = wp.zeros((n, 5), dtype=wp.float32, **on)
+        self._tick = wp.zeros(n, dtype=int, **on)
+        self._count = wp.zeros((n, team), dtype=int, **on)
+        self._point, self._pair = (wp.zeros((n, team), dtype=Few, **on) for _ in range(2))
+        frequencies = draw_frequencies(s.features, s.bandwidth, s.frequency_seed)
+        self._half = wp.array(frequencies / 2, dtype=wp.vec3, **on)
+        self.frequencies = torch.tensor(frequencies, device=wp.device_to_torch(self.device))
+        self.occlusion: torch.Tensor = wp.to_torch(self._occlusion)
+        self.breach: torch.Tensor = wp.to_torch(self._breach)
+        self.distances: torch.Tensor = wp.to_torch(self._distances)
+        self.max_noise: torch.Tensor = wp.to_torch(self._max_noise)
+        self.tick: torch.Tensor = wp.to_torch(self._tick)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the clouds and their bounds."""
+        return sum(a.size * wp.types.type_size_in_bytes(a.dtype) for a in self._memory.values())
+
+    # ---- sensing -------------------------------------------------------------------------------------------------
+
+    def bind(self, observation: torch.Tensor | wp.array, columns: Mapping[str, int] = COLUMNS) -> None:
+        """Name the tensor float32 [worlds, numbers] that `update` writes into, and the first column of each group.
+
+        Args:
+            observation: Memory on the sensor's device; it is kept, never copied.
+            columns: Any of ``wbr``, ``zbr``, ``clr``, ``rob`` (2 R columns each), ``distances`` (5), ``breach`` and
+                ``occlusion`` (1 each). A group that is not named is not written.
+
+        Raises:
+            InputError: A group that does not exist, or columns outside the tensor.
+        """
+        size = dict.fromkeys(_EMBEDDED, 2 * self.settings.features) | {"distances": 5, "breach": 1, "occlusion": 1}
+        rows, numbers = observation.shape
+        for name, first in columns.items():
+            if name not in size:
+                raise InputError("sensor", "columns", name, ", ".join(size))
+            if not 0 <= first <= numbers - size[name] or rows != self.num_worlds:
+                found = f"columns {first} to {first + size[name] - 1} of [{rows}, {numbers}]"
+                raise InputError("sensor", name, found, f"columns of [{self.num_worlds}, {numbers}]")
+        array = wp.from_torch(observation) if isinstance(observation, torch.Tensor) else observation
+        first = [[columns.get(name, -1) for name in names] for names in (_EMBEDDED, _LOCAL)]
+        self._columns = [wp.array(c, dtype=int, device=self.device) for c in first]
+        self._bound = array.ptr
+        self._updates = {split: self._prepare(array, split=split) for split in (False, True)}
+
+    def update(
+        self, observation: torch.Tensor | wp.array | None = None, tick: int | torch.Tensor | None = None
+    ) -> None:
+        """Draw new points, write observation, `occlusion`, `breach` and `distances`, and count the tick.
+
+        Capsules, target and end-effector are read as they are now. Inside a graph capture everything runs on the
+        calling thread.
+
+        Args:
+            observation: Where to write, at `COLUMNS`, if that is not bound yet; None takes what is bound.
+            tick: Draw to make, of all worlds or int32 [worlds]; None goes on from `tick` (inside a capture too).
+        """
+        if observation is not None:
+            pointer = observation.data_ptr() if isinstance(observation, torch.Tensor) else observation.ptr
+            if pointer != self._bound:
+                self.bind(observation)
+        if tick is not None:
+            self.tick.copy_(tick) if isinstance(tick, torch.Tensor) else self.tick.fill_(tick)
+        self._updates[not self.device.is_capturing]()
+
+    def _prepare(self, observation: wp.array, *, split: bool) -> Callable[[], None]:
+        """Return a function that launches all kernels; on a CPU each thread takes a run of worlds through all."""
+        threads = self.threads if split else 1
+        cuts = np.linspace(0, self.num_worlds, threads + 1).astype(int).tolist()
+        ranges = pairwise(cuts)
+        runs = [_Run(self._record(observation, a, b - a)) for a, b in ranges if b > a]
+        return runs[0].launch if len(runs) == 1 else lambda: _together(runs)
+
+    def _record(self, observation: wp.array, first: int, count: int) -> list[Any]:
+        """Record the launches of ``count`` worlds from ``first``: a call then costs microseconds and no memory."""
+        s, w, team = self.settings, self.width, self._count.shape[1]
+        embedded, local = self._columns
+        by_cloud = (count, NUM_CLOUDS) if w > 1 else (NUM_CLOUDS, count)
+        by_wave = (*by_cloud, s.features) if w > 1 else (s.features, *by_cloud)
+        cap, limit = float(s.rounded), (5 * s.margin) ** 2 * _BEYOND
+        plan: list[tuple[Any, tuple[int, ...], list[Any]]] = [
+            (sample_kernel(w), by_cloud, [self._capsules, self._num_arm, self._target, cap, s.zoom, self._seed,
+                                          self._tick, self._max_noise, first, self._clouds]),
+            (embed_clouds_kernel(w), by_wave, [self._clouds, self._half, embedded, first, observation]),
+            (occlusion_kernel(w), (team, count),
+             [self._clouds, _squared(s.threshold), s.pairs, first, self._count]),
+            (nearest_kernel(w), (team, count),
+             [self._clouds, self._ee, s.farthest**2, limit, first, self._point, self._pair]),
+            (finish_kernel, (count,), [self._count, self._point, self._pair, s.pairs, s.margin, local, first,
+                                       self._tick, self._occlusion, self._distances, self._breach, observation]),
+        ]  # fmt: skip
+        return [wp.launch(k, dim=d, inputs=i, device=self.device, record_cmd=True) for k, d, i in plan]
+
+
+class _Run:
+    """Recorded launches, one after the other."""
+
+    def __init__(self, commands: Sequence[Any]) -> None:
+        self._commands = commands
+
+    def launch(self) -> None:
+        """Launch them all."""
+        for command in self._commands:
+            command.launch()
+
+
+def _squared(distance: float) -> float:
+    """Return the square of a distance rounded to float32, in float32, as the kernels compare."""
+    return float(np.float32(distance) * np.float32(distance))
+
+
+def _shapes(start: wp.array, end: wp.array, radius: wp.array) -> Any:
+    shapes = Shapes()
+    shapes.start, shapes.end, shapes.radius = start, end, radius
+    return shapes

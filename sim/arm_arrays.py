@@ -1,0 +1,300 @@
+"""Device arrays of an arm and of what branches, arm, line and ground touch each other with."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from ..kernels.arm import arm_types
+from ..kernels.contact import Contact, ContactRule, contact_types
+from . import rotation
+from .arm import Arm, forward_kinematics
+from .arrays import LaneArray, integer_array
+from .launcher import Launcher
+from .model import Model
+from .tree import Array, IntArray, Tree
+
+#: Middle of a capsule that a world lacks [m].
+FAR = 1.0e6
+
+
+class ArmArrays:
+    """An arm's constants, shared by all worlds, and its state in every world, in the worlds' own order.
+
+    Attributes:
+        q, qd: Joint positions [rad] and speeds [rad/s], torch views [worlds, dof].
+        torque: What the servos did in the last step [N m], [worlds, dof].
+        target: Speeds that the servos are asked for [rad/s], [worlds, dof].
+        force: Net contact force on every link in the last step, world axes [N], [worlds, dof, 3].
+        end_position, end_rotation: End-effector [m] and w, x, y, z, [worlds, 3] and [worlds, 4].
+        lost: 1 where a step left the finite, [worlds].
+        start, end, radius: Capsules of arm and base, Warp arrays [worlds, C] of the step's working memory; the base's
+            come first.
+    """
+
+    def __init__(self, arm: Arm, worlds: int, gravity: Array, device: Any) -> None:
+        self.types, self.device = arm_types(arm.num_dofs), device
+        self._keep: list[wp.array] = []
+        self.constants = self._constants(arm, gravity)
+        n, capsules = arm.num_dofs, len(arm.base_radius) + arm.num_capsules
+        self._state, self._work = self.types.ArmState(), self.types.ArmWork()
+        for name, kind in (("q", float), ("qd", float), ("torque", float), ("target", float), ("force", wp.vec3)):
+            self._field(self._state, name, (worlds, n), kind)
+        self._field(self._state, "lost", worlds, int)
+        self._field(self._state, "end_position", worlds, wp.vec3)
+        self._field(self._state, "end_rotation", worlds, wp.vec4)
+        for name, kind in (("pose", wp.quat), ("origin", wp.vec3), ("axis", wp.vec3), ("moment", wp.vec3),
+                           ("push", wp.vec3)):  # fmt: skip
+            self._field(self._work, name, (worlds, n), kind)
+        for name in ("start", "end"):
+            self._field(self._work, name, (worlds, capsules), wp.vec3)
+        for name in ("inertia", "factor"):
+            self._field(self._work, name, worlds, self.types.Square)
+        for name in ("bias", "weight", "load", "velocity", "held"):
+            self._field(self._work, name, worlds, self.types.Row)
+        self._field(self._work, "loose", worlds, int)
+        self.start, self.end = self._work.start, self._work.end
+        views = {name: wp.to_torch(getattr(self._state, name)) for name in self._state._cls.vars}
+        self.q, self.qd, self.torque, self.target = (views[k] for k in ("q", "qd", "torque", "target"))
+        self.force, self.end_position, self.end_rotation = (views[k] for k in ("force", "end_position", "end_rotation"))
+        self.lost = views["lost"]
+
+    @property
+    def kernel(self) -> tuple[Any, Any, Any]:
+        """The Warp structs Arm, ArmState and ArmWork."""
+        return self.constants, self._state, self._work
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        return sum(a.size * wp.types.type_size_in_bytes(a.dtype) for a in self._keep)
+
+    def _field(self, struct: Any, name: str, shape: Any, kind: Any) -> None:
+        array = wp.zeros(shape, dtype=kind, device=self.device)
+        self._keep.append(array)
+        setattr(struct, name, array)
+
+    def _constants(self, arm: Arm, gravity: Array) -> Any:
+        out, tree = self.types.Arm(), arm.tree
+        turned = rotation.quat_rotate(tree.rotation, tree.anchor)
+        before = np.concatenate([np.zeros((1, 3)), tree.anchor[:-1]])
+        #: every link's frame is moved to its joint point
+        vectors = {"position": tree.position + turned - before, "axis": tree.axis, "com": tree.com - tree.anchor}
+        anchor = tree.anchor[tree.shape_link]
+        vectors["shape_start"] = np.concatenate([arm.base_start, tree.shape_start - anchor])
+        vectors["shape_end"] = np.concatenate([arm.base_end, tree.shape_end - anchor])
+        numbers = {
+            "mass": tree.mass, "armature": tree.armature, "damping": tree.damping, "gain": arm.gain, "friction": arm.friction,
+            "torque_limit": arm.torque_limit, "speed_limit": arm.velocity_limit, "lower": arm.lower, "upper": arm.upper,
+            "reach": _reach(vectors), "shape_radius": np.concatenate([arm.base_radius, tree.shape_radius.mean(axis=1)]),
+        }  # fmt: skip
+        for name, value in (numbers | vectors).items():
+            kind = wp.vec3 if name in vectors else wp.float32
+            self._constant(out, name, value.astype(np.float32), kind)
+        self._constant(out, "rotation", _xyzw(tree.rotation), wp.quat)
+        self._constant(out, "inertia", tree.inertia.astype(np.float32), wp.mat33)
+        link = np.concatenate([np.full(len(arm.base_radius), -1), tree.shape_link])
+        self._constant(out, "shape_link", link.astype(np.int32), int)
+        self._constant(out, "pair", _pairs(arm, link), int)
+        out.end_link = int(arm.end_link)
+        out.end_position = wp.vec3(*(arm.end_position - tree.anchor[arm.end_link]))
+        out.end_rotation = wp.quat(*_xyzw(arm.end_rotation))
+        out.gravity = wp.vec3(*gravity)
+        return out
+
+    def _constant(self, struct: Any, name: str, value: Any, kind: Any) -> None:
+        array = wp.array(np.ascontiguousarray(value), dtype=kind, device=self.device)
+        self._keep.append(array)
+        setattr(struct, name, array)
+
+
+def _xyzw(q: Array) -> Array:
+    return np.roll(q, -1, axis=-1).astype(np.float32)
+
+
+def _reach(vectors: dict[str, Array]) -> Array:
+    """Greatest distance of any point of the arm from each joint [m]: the lengths of all links further out, summed."""
+    steps = np.linalg.norm(vectors["position"], axis=1)
+    ends = np.linalg.norm(np.concatenate([vectors["shape_start"], vectors["shape_end"]]), axis=1).max()
+    return np.array([steps[j + 1 :].sum() + ends for j in range(len(steps))])
+
+
+def arm_capsules(arm: Arm, q: Array) -> tuple[Array, Array]:
+    """Return the ends of the capsules' axes for joint positions ``q`` [dof], the base's first [m], [C, 3] each."""
+    points, turn, _ = forward_kinematics(arm, q)
+    tree = arm.tree
+    link = tree.shape_link
+
+    def placed(p: Array) -> Array:
+        return points[link] + rotation.quat_rotate(turn[link], p - tree.anchor[link])
+
+    ends = ((arm.base_start, tree.shape_start), (arm.base_end, tree.shape_end))
+    start, end = (np.concatenate([base, placed(own)]) for base, own in ends)
+    return start, end
+
+
+def _pairs(arm: Arm, link: IntArray) -> IntArray:
+    """Capsules of links that may meet: neither of one link nor of neighbours, and apart in the home pose."""
+    start, end = arm_capsules(arm, arm.home)
+    radius = np.concatenate([arm.base_radius, arm.tree.shape_radius.mean(axis=1)])
+    share = np.linspace(0.0, 1.0, 17)[:, None]
+    points = [a + share * (b - a) for a, b in zip(start, end, strict=True)]
+    far = []
+    for i in range(len(link)):
+        for j in range(i + 1, len(link)):
+            gap = np.linalg.norm(points[i][:, None] - points[j][None], axis=-1).min() - radius[i] - radius[j]
+            if link[i] >= 0 and link[j] - link[i] > 1 and gap > 0.0:
+                far.append((i, j))
+    return np.array(far, np.int32).reshape(-1, 2)
+
+
+class TouchArrays:
+    """Capsules of all branches, the rule of contact and the contacts themselves.
+
+    Attributes:
+        kernel: The Warp structs ContactRule, Shapes and Touch.
+        friction: Coefficient of friction, torch view [worlds].
+        line_start, line_end: Ends of the power line's axis [m], torch views [worlds, 3].
+        line_mask: 1 where branches and line touch, int32 torch view [worlds].
+        count, overflow: Contacts of the last step, and those that found no room since the start, [worlds].
+        depth: Deepest penetration of the last step [m], [worlds].
+        branch_force: Net contact force on every capsule of the branches in the last step [N], [worlds, B, 3].
+        arm_peak: Greatest force on every link of the arm since it was last set to zero [N], [worlds, dof].
+        radius: Radii of all capsules, arm first, 0 where a world has none [m], Warp array [worlds, C].
+        owner: Link of each capsule of each world, -1 where it has none, [worlds, B].
+    """
+
+    def __init__(self, model: Model, launcher: Launcher, arm: Arm, capacity: int) -> None:
+        self._model, self._types = model, contact_types(model.width, 32)
+        self.device = model.device
+        self.num_arm = len(arm.base_radius) + arm.num_capsules
+        self._rule = self._make_rule(arm, capacity)
+        self._shapes = self._make_shapes()
+        self._touch = self._make_touch(launcher)
+        self.kernel = (self._rule, self._shapes, self._touch)
+
+    # ---- rule and records --------------------------------------------------------------------------------------------
+
+    def _make_rule(self, arm: Arm, capacity: int) -> Any:
+        rule, worlds, dev = ContactRule(), self._model.num_worlds, self.device
+        capsules = max(len(t.shape_link) for t in self._model.trees)
+        made = {
+            "friction": wp.zeros(worlds, dtype=float, device=dev),
+            "line_start": wp.zeros(worlds, dtype=wp.vec3, device=dev),
+            "line_end": wp.zeros(worlds, dtype=wp.vec3, device=dev),
+            "line_mask": wp.zeros(worlds, dtype=int, device=dev),
+            "record": wp.zeros((worlds, capacity), dtype=Contact, device=dev),
+            "count": wp.zeros(worlds, dtype=int, device=dev),
+            "overflow": wp.zeros(worlds, dtype=int, device=dev),
+            "depth": wp.zeros(worlds, dtype=float, device=dev),
+            "branch_force": wp.zeros((worlds, capsules), dtype=wp.vec3, device=dev),
+            "arm_peak": wp.zeros((worlds, arm.num_dofs), dtype=float, device=dev),
+            "arm_bound": self._arm_bounds(arm),
+        }
+        for name, array in made.items():
+            setattr(rule, name, array)
+        self.record = made["record"]
+        self.warp = made
+        for name in ("friction", "line_start", "line_end", "line_mask", "count", "overflow", "depth", "branch_force",
+                     "arm_peak"):  # fmt: skip
+            view: torch.Tensor = wp.to_torch(made[name])
+            setattr(self, name, view)
+        return rule
+
+    friction: torch.Tensor
+    line_start: torch.Tensor
+    line_end: torch.Tensor
+    line_mask: torch.Tensor
+    count: torch.Tensor
+    overflow: torch.Tensor
+    depth: torch.Tensor
+    branch_force: torch.Tensor
+    arm_peak: torch.Tensor
+
+    def _arm_bounds(self, arm: Arm) -> wp.array:
+        start = np.concatenate([arm.base_start, arm.tree.shape_start])
+        end = np.concatenate([arm.base_end, arm.tree.shape_end])
+        radius = np.concatenate([arm.base_radius, arm.tree.shape_radius.mean(axis=1)])
+        bound = np.linalg.norm(end - start, axis=1) / 2 + radius
+        return wp.array(bound.astype(np.float32), dtype=float, device=self.device)
+
+    # ---- capsules of the branches --------------------------------------------------------------------------------------
+
+    def _make_shapes(self) -> Any:
+        m = self._model
+        numbers = [_numbered(t) for t in m.trees]
+        places = [m.link_place[a:b] for a, b in pairwise(m.first_link)]
+        slots = m.groups * m.width
+        rows: list[dict[tuple[int, int], list[tuple[int, int, int]]]] = [{} for _ in range(m.groups)]
+        for w, (tree, place) in enumerate(zip(m.trees, places, strict=True)):
+            slot = int(m.world_slot[w])
+            for c, link in enumerate(tree.shape_link):
+                key = (int(place[link]), int(numbers[w][c]))
+                rows[slot // m.width].setdefault(key, []).append((slot, w, c))
+        most = max((len(r) for r in rows), default=0)
+        return self._fill_shapes(rows, max(most, 1), slots)
+
+    def _fill_shapes(self, rows: list[dict[tuple[int, int], list[tuple[int, int, int]]]], most: int, slots: int) -> Any:
+        m, out = self._model, self._types.Shapes()
+        link, count = np.zeros((m.groups, most), np.int64), np.array([len(r) for r in rows])
+        capsule = np.full((slots, most), -1, np.int64)
+        middle, half = np.zeros((slots, most, 3)), np.zeros((slots, most, 3))
+        middle[:] = FAR
+        radius, bound = np.zeros((slots, most, 1)), np.zeros((slots, most, 1))
+        for g, row in enumerate(rows):
+            for c, key in enumerate(sorted(row)):
+                link[g, c] = key[0]
+                for slot, w, own in row[key]:
+                    tree, n = m.trees[w], m.first_link[w] + m.trees[w].shape_link[own]
+                    a, b = (m.links.in_link_frame(n, p[own]) for p in (tree.shape_start, tree.shape_end))
+                    capsule[slot, c], radius[slot, c, 0] = own, tree.shape_radius[own].mean()
+                    middle[slot, c], half[slot, c] = (a + b) / 2, (b - a) / 2
+                    bound[slot, c, 0] = np.linalg.norm(b - a) / 2 + radius[slot, c, 0]
+        self._lanes = {}
+        for name, kind, values in (("middle", "Vec", middle), ("half", "Vec", half), ("radius", "Real", radius),
+                                   ("bound", "Real", bound)):  # fmt: skip
+            array = m.field(kind, places=most)
+            array.assign(values)
+            self._lanes[name] = array
+            setattr(out, name, array.kernel)
+        out.count, out.link = integer_array(count, m.device), integer_array(link, m.device)
+        out.slot_capsule = integer_array(capsule, m.device)
+        self._integers = [out.count, out.link, out.slot_capsule]
+        return out
+
+    def _make_touch(self, launcher: Launcher) -> Any:
+        out = self._types.Touch()
+        self._fields: dict[str, LaneArray] = {}
+        kinds = {"at": "Vec", "velocity": "Vec", "A": "Sym", "B": "Mat", "M": "Sym", "n": "Vec", "f": "Vec"}
+        for name, kind in kinds.items():
+            self._fields[name] = launcher.field(kind)
+        self._fields["near"] = launcher.field("Vec", places=self.num_arm + 2)
+        for name, field in self._fields.items():
+            setattr(out, name, field.kernel)
+            if name not in ("at", "velocity"):
+                setattr(out, f"{name}_entry", field.entries())
+        self._fields["near"].torch.fill_(FAR)
+        rows, places = self._fields["at"].kernel.shape
+        self._touched = wp.zeros((rows, places), dtype=int, device=self.device)
+        out.touched = self._touched
+        return out
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        made = sum(a.size * wp.types.type_size_in_bytes(a.dtype) for a in self.warp.values())
+        return int(made) + sum(f.nbytes for f in (*self._fields.values(), *self._lanes.values()))
+
+
+def _numbered(tree: Tree) -> IntArray:
+    """Number of every capsule among those of its link."""
+    seen: dict[int, int] = {}
+    out = []
+    for link in tree.shape_link.tolist():
+        out.append(seen.get(link, 0))
+        seen[link] = out[-1] + 1
+    return np.array(out, np.int64)
