@@ -15,9 +15,12 @@ import tyro
 
 from . import __version__
 from .learn.command_diagnose import Diagnose, Exam
+from .learn.command_evaluate import Evaluate
 from .learn.command_hide import Hide
 from .learn.command_identify import Identify
+from .learn.command_play import Play
 from .learn.command_reproduce import Reproduce
+from .learn.command_train import Train
 from .sim.command_forest import Forest
 from .sim.command_info import Info
 from .sim.command_simulate import Simulate
@@ -37,6 +40,9 @@ Command = (
     | Annotated[Hide, tyro.conf.subcommand("hide")]
     | Annotated[Diagnose, tyro.conf.subcommand("diagnose")]
     | Annotated[Exam, tyro.conf.subcommand("exam")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
 )
 

@@ -48,6 +48,7 @@ def load_bough() -> SimpleNamespace:
 
 
 bough = load_bough()
+import gpu_arm  # noqa: E402  (beside this file; it needs bough)
 
 
 # ---- trees -------------------------------------------------------------------------------------------------------
@@ -260,6 +261,14 @@ CHECKS: dict[str, Callable[[str, bool], dict[str, Any]]] = {
     "newton": check_newton,
 }
 
+#: The arm among branches; its training comes last, with the time that is left.
+ARM: dict[str, Callable[[str, bool], dict[str, Any]]] = {
+    "arm, steps": gpu_arm.check_arm_step,
+    "arm, copies": gpu_arm.check_copies,
+    "arm, shares": gpu_arm.measure_shares,
+    "arm, embedding": gpu_arm.measure_embedding,
+}
+
 
 # ---- speed -------------------------------------------------------------------------------------------------------
 
@@ -350,6 +359,8 @@ def markdown(report: dict[str, Any]) -> str:
         row += [f"{_short(low)} to {_short(high)}", run["finite_worlds"]]
         row += [f"{run['bytes_state_parameters_scratch'] / 2**20:.1f}", f"{run['build_s']:.1f}"]
         lines.append("| " + " | ".join(map(str, row)) + " |")
+    for name, found in report["arm"].items():
+        lines += ["", f"| {name} | |", "| --- | --- |", *(f"| {k} | {_short(v)} |" for k, v in found.items())]
     lines += [f"\nNot run for lack of time: {report['left_out']}."] if report["left_out"] else []
     return "\n".join(lines) + "\n"
 
@@ -382,26 +393,36 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True, help="folder for gpu.json and gpu.md")
     parser.add_argument("--device", default="cuda:0", help="Warp device")
     parser.add_argument("--quick", action="store_true", help="tiny sizes, to try the script")
-    parser.add_argument("--budget", type=float, default=480.0, help="seconds after which no further run begins")
+    parser.add_argument("--budget", type=float, default=460.0, help="seconds; measuring takes half, training the rest")
     options = parser.parse_args()
     begun = time.perf_counter()
     options.out.mkdir(parents=True, exist_ok=True)
-    report: dict[str, Any] = {"machine": machine(options.device), "checks": {}, "speed": [], "left_out": []}
+    report: dict[str, Any] = {"machine": machine(options.device), "checks": {}, "arm": {}, "speed": []}
+    report["left_out"] = []
     for name, check in CHECKS.items():
         report["checks"][name] = guarded(lambda check=check: check(options.device, options.quick))
         print(name, report["checks"][name], flush=True)
         save(report, options.out)
+    for name, section in ARM.items():
+        report["arm"][name] = guarded(lambda section=section: section(options.device, options.quick))
+        print(name, report["arm"][name], flush=True)
+        save(report, options.out)
     for order, worlds, substeps, drop in plan(options.quick):
         name = f"{'mixed ' if drop else ''}{SIZES[order]} links x {worlds}, substeps {substeps}"
-        if time.perf_counter() - begun > options.budget:
+        if time.perf_counter() - begun > options.budget / 2:  # the other half is for training
             report["left_out"].append(name)
             continue
         run = guarded(lambda o=order, w=worlds, s=substeps, d=drop: measure(o, w, s, options.device, options.quick, d))
         print(name, run, flush=True)
         (report["speed"].append(run) if "error" not in run else report["checks"].update({name: run}))
         save(report, options.out)
+    left = options.budget - (time.perf_counter() - begun)
+    training = guarded(lambda: gpu_arm.measure_training(options.device, options.quick, left, options.out / "run"))
+    report["arm"]["training"] = training
+    print("training", training, flush=True)
     save(report, options.out)
-    return 0 if all(r["ok"] for r in (*report["checks"].values(), *report["speed"])) else 1
+    found = (*report["checks"].values(), *report["arm"].values(), *report["speed"])
+    return 0 if all(r["ok"] for r in found) else 1
 
 
 if __name__ == "__main__":

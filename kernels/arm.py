@@ -32,7 +32,7 @@ CREEP = wp.constant(1.0e-3)
 #: Times its speed limit that a joint may be thrown at.
 GUARD = wp.constant(5.0)
 #: Corrections of the set of joints at their torque limit.
-TRIES = wp.constant(4)
+TRIES = wp.constant(8)
 
 
 @cache
@@ -100,6 +100,7 @@ def arm_types(dof: int) -> SimpleNamespace:
         velocity: wp.array(dtype=Row)
         held: wp.array(dtype=Row)
         loose: wp.array(dtype=int)
+        settled: wp.array(dtype=int)
 
     return SimpleNamespace(Arm=Arm, ArmState=ArmState, ArmWork=ArmWork, Row=Row, Square=Square, dof=dof)
 
@@ -355,7 +356,8 @@ def arm_functions(dof: int) -> SimpleNamespace:
                     if wanted < 0.0 - a.torque_limit[j]:
                         limited = -1.0
                     if limited != held[j]:
-                        held[j] = limited
+                        # from one limit to the other by way of the servo: a light joint would be thrown to and fro
+                        held[j] = wp.where(limited * held[j] < 0.0, 0.0, limited)
                         if attempt < TRIES - 1:
                             changed = 1
         k.held[w] = held

@@ -39,9 +39,9 @@ GROUND = wp.constant(-2)
 BASE = wp.constant(-3)
 #: Share by which friction may miss its cone before the solve is repeated, and of a force by which the arm may.
 SLACK = wp.constant(0.005)
-#: Overlap beyond which a contact pushes no harder [m]: 600 N at the default stiffness. Nothing gets there by pushing;
-#: worlds that start with overlaps come apart instead of bursting.
-DEEP = wp.constant(0.01)
+#: Speed at which deep overlaps come apart [m/s]: damping grows with the depth, so that worlds that start with overlaps
+#: do not burst, while the force of what is held grows on and no arm is strong enough to push through.
+EXIT = wp.constant(2.0)
 #: Forces below this are not worth a repetition [N].
 FEEBLE = wp.constant(0.02)
 
@@ -166,12 +166,17 @@ def add_contact(w: int, rule: ContactRule, c: Contact):
 
 
 @wp.func
+def damper_of(gap: float, rule: ContactRule, h: float):
+    """c [N s/m]: none before touch; in deep overlaps as much as brings the force to zero at EXIT."""
+    return wp.where(gap < 0.0, wp.max(rule.damping, (0.0 - gap / EXIT - h) * rule.stiffness), 0.0)
+
+
+@wp.func
 def meet(c: Contact, rule: ContactRule, w: int, approach: wp.vec3, h: float):
     """Set out with what the present velocities say: whether it will touch, and how hard friction may pull."""
     rate = wp.dot(c.normal, approach)
     c.active = wp.where(c.gap + h * rate < 0.0, 1, 0)
-    damping = wp.where(c.gap < 0.0, rule.damping, 0.0)
-    push = wp.max(0.0 - rule.stiffness * (wp.max(c.gap, 0.0 - DEEP) + h * rate) - damping * rate, 0.0)
+    push = wp.max(0.0 - rule.stiffness * (c.gap + h * rate) - damper_of(c.gap, rule, h) * rate, 0.0)
     slide = wp.length(approach - rate * c.normal)
     c.damper = rule.friction[w] * push / wp.max(slide, rule.creep)
     return c
@@ -180,14 +185,14 @@ def meet(c: Contact, rule: ContactRule, w: int, approach: wp.vec3, h: float):
 @wp.func
 def impedance(c: Contact, rule: ContactRule, h: float):
     """W_v = (c + h k) n n^T + d (1 - n n^T)"""
-    normal = wp.where(c.gap < 0.0, rule.damping, 0.0) + h * rule.stiffness
+    normal = damper_of(c.gap, rule, h) + h * rule.stiffness
     return c.damper * wp.identity(n=3, dtype=wp.float32) + (normal - c.damper) * wp.outer(c.normal, c.normal)
 
 
 @wp.func
 def spring(c: Contact, rule: ContactRule):
-    """-k g n, of a gap no deeper than DEEP."""
-    return c.normal * (0.0 - rule.stiffness * wp.max(c.gap, 0.0 - DEEP))
+    """-k g n"""
+    return c.normal * (0.0 - rule.stiffness * c.gap)
 
 
 @wp.func

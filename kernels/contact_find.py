@@ -14,8 +14,9 @@ __all__ = ["find_arm_contacts", "find_branch_contacts", "note_arm"]
 
 
 @wp.func
-def note_arm(w: int, row: int, lane_: int, a: Any, k: Any, rule: ContactRule, touch: Any):
-    """Write the middles of the arm's capsules, and the line's start and direction, where the group's lanes read them."""
+def note_arm(w: int, row: int, lane_: int, a: Any, k: Any, rule: ContactRule, touch: Any, speed: float):
+    """Write the middles of the arm's capsules, the line's start and direction, and the speed of the arm's fastest point
+    where the group's lanes read them."""
     n = a.shape_link.shape[0]
     for c in range(n):
         middle = 0.5 * (k.start[w, c] + k.end[w, c])
@@ -26,6 +27,7 @@ def note_arm(w: int, row: int, lane_: int, a: Any, k: Any, rule: ContactRule, to
     for axis in range(3):
         touch.near_entry[row, n, axis, lane_] = start[axis]
         touch.near_entry[row, n + 1, axis, lane_] = along[axis]
+        touch.near_entry[row, n + 2, axis, lane_] = speed
 
 
 @wp.func
@@ -150,10 +152,11 @@ def add_branch_contact(
 @wp.func
 def find_branch_contacts(
     e: int, row: int, width: int, slot_world: wp.array(dtype=int), a: Any, k: Any, rule: ContactRule, shapes: Any,
-    s: Any, touch: Any, speed: Any, with_line: int, h: float,
+    s: Any, touch: Any, with_line: int, h: float,
 ):  # fmt: skip
-    """Find contacts of all branches of a group. ``speed`` [m/s] is that of the arm's fastest point, lane by lane."""
+    """Find contacts of all branches of a group, as far away as branch and arm may come in a step, lane by lane."""
     arms = a.shape_link.shape[0]
+    speed = touch.near[row, arms + 2].x
     for c in range(shapes.count[e]):
         i = shapes.link[e, c]
         pose = s.pose[row, i]

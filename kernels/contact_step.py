@@ -22,7 +22,7 @@ from .contact import (
     stiffen,
 )
 from .contact_find import find_arm_contacts, find_branch_contacts, note_arm
-from .real import SOURCE, real
+from .real import SOURCE
 
 __all__ = ["contact_step_kernel"]
 
@@ -42,13 +42,9 @@ def contact_step_kernel(width: int, dof: int) -> Any:
     def set_out(
         w: int, row: int, lane_: int, a: Arm, y: ArmState, k: ArmWork, rule: ContactRule, touch: Touch, h: float
     ):
-        """Place the arm, find what it touches beside branches, and its velocity if no branch touched it.
-
-        Returns the speed of its fastest point [m/s].
-        """
+        """Place the arm, find what it touches beside branches, and its velocity if no branch touched it."""
         place_arm(w, a, y.q, k)
         arm_dynamics(w, a, y, k)
-        note_arm(w, row, lane_, a, k, rule, touch)
         rule.count[w] = 0
         rule.depth[w] = 0.0
         k.load[w] = Row()
@@ -60,6 +56,7 @@ def contact_step_kernel(width: int, dof: int) -> Any:
             y.force[w, j] = wp.vec3(0.0, 0.0, 0.0)
             # the servo may bring a joint to its target within the step
             speed = speed + wp.max(wp.abs(y.qd[w, j]), wp.abs(y.target[w, j])) * a.reach[j]
+        note_arm(w, row, lane_, a, k, rule, touch, speed)
         find_arm_contacts(w, a, k, rule, now, 1.0e-3 + h * speed, h)
         for n in range(rule.count[w]):
             c = rule.record[w, n]
@@ -67,11 +64,13 @@ def contact_step_kernel(width: int, dof: int) -> Any:
             c.drive = spring(c, rule)
             rule.record[w, n] = c
         solve_arm(w, a, y, k, rule.record, rule.count[w], h)
-        return speed
 
     @wp.func
     def press(w: int, row: int, lane_: int, k: ArmWork, rule: ContactRule, touch: Touch, h: float):
-        """Bring all contacts of a world up to date and add the branches' to their links."""
+        """Bring all contacts of a world up to date and add the branches' to their links.
+
+        A world that has settled adds what it added before, so that its result does not depend on the others' repeats.
+        """
         sharing = float(0.0)
         for n in range(rule.count[w]):
             c = rule.record[w, n]
@@ -81,18 +80,20 @@ def contact_step_kernel(width: int, dof: int) -> Any:
             c = rule.record[w, n]
             if c.active == 1:
                 if c.link > 0:
-                    v_a = wp.vec3(0.0, 0.0, 0.0)
-                    if c.body >= 0:
-                        c.compliance = compliance(w, k, c.body, c.point)
-                        v_a = point_velocity(w, k, c.body, c.point, k.velocity[w])
-                    c = stiffen(c, rule, v_a, sharing, h)
+                    if k.settled[w] == 0:
+                        v_a = wp.vec3(0.0, 0.0, 0.0)
+                        if c.body >= 0:
+                            c.compliance = compliance(w, k, c.body, c.point)
+                            v_a = point_velocity(w, k, c.body, c.point, k.velocity[w])
+                        c = stiffen(c, rule, v_a, sharing, h)
+                        rule.record[w, n] = c
                     if touch.touched[row, c.link] == 0:
                         clear_link(row, c.link, touch)
                         touch.touched[row, c.link] = 1
                     add_to_link(row, lane_, c, touch, h)
-                else:
+                elif k.settled[w] == 0:
                     c.impedance = impedance(c, rule, h)
-                rule.record[w, n] = c
+                    rule.record[w, n] = c
 
     @wp.func
     def answer(
@@ -174,22 +175,22 @@ def contact_step_kernel(width: int, dof: int) -> Any:
             place_links(e, r, m, x_in_out, s_out)
             locate_joints(e, r, m, s_out, touch_out)
             with_line = int(0)
-            speed = float(0.0)
             for lane_ in range(W):
                 w = slot_world[e * W + lane_]
                 if w >= 0:
-                    speed = wp.max(speed, set_out(w, r, lane_, a, y_in_out, k_out, rule, touch_out, dt))
+                    set_out(w, r, lane_, a, y_in_out, k_out, rule, touch_out, dt)
                     for c in range(rule.branch_force.shape[1]):
                         rule.branch_force[w, c] = wp.vec3(0.0, 0.0, 0.0)
                     if rule.line_mask[w] == 1:
                         with_line = 1
-            fastest = real(speed, x_in_out.alive[e])
-            find_branch_contacts(e, r, W, slot_world, a, k_out, rule, shapes, s_out, touch_out, fastest, with_line, dt)
+            find_branch_contacts(e, r, W, slot_world, a, k_out, rule, shapes, s_out, touch_out, with_line, dt)
             todo = int(0)
             for lane_ in range(W):
                 w = slot_world[e * W + lane_]
                 if w >= 0:
                     todo = wp.max(todo, rule.count[w])
+                    k_out.settled[w] = wp.where(rule.count[w] > 0, 0, 1)
+                    k_out.settled[w] = wp.where(rule.count[w] == 0, 1, 0)
             left = wp.where(todo > 0, rule.repeats, 1)
             while left > 0:
                 left = left - 1
@@ -199,7 +200,8 @@ def contact_step_kernel(width: int, dof: int) -> Any:
                     for lane_ in range(W):
                         w = slot_world[e * W + lane_]
                         if w >= 0:
-                            press(w, r, lane_, k_out, rule, touch_out, dt)
+                            if rule.count[w] > 0:
+                                press(w, r, lane_, k_out, rule, touch_out, dt)
                 fold_touched(e, r, m, x_in_out, s_out, touch_out, h)
                 if todo > 0:
                     respond(e, r, m, s_out, h)
@@ -207,7 +209,10 @@ def contact_step_kernel(width: int, dof: int) -> Any:
                     for lane_ in range(W):
                         w = slot_world[e * W + lane_]
                         if w >= 0:
-                            changed = wp.max(changed, answer(w, r, lane_, a, y_in_out, k_out, rule, s_out, dt))
+                            if k_out.settled[w] == 0:
+                                moved = answer(w, r, lane_, a, y_in_out, k_out, rule, s_out, dt)
+                                changed = wp.max(changed, moved)
+                                k_out.settled[w] = 1 - moved
                     if changed == 0:
                         left = int(0)
             advance_links(e, r, m, x_in_out, s_out, h, bound)

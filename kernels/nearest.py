@@ -15,13 +15,13 @@ from typing import Any
 
 import warp as wp
 
-from .lanes import below, lane_sum, max_
+from .lanes import below, lane_sum, max_, min_
 from .point_cloud import BRANCHES, ROBOT, TARGET, cloud_types
 from .real import SOURCE, add, any_neg, fma, lane, lane_neg, mul, real, sub
 
-__all__ = ["NEAREST", "finish_kernel", "nearest_kernel", "occlusion_kernel"]
+__all__ = ["Few", "finish_kernel", "margin_kernel", "nearest_kernel", "occlusion_kernel"]
 
-NEAREST = 5
+#: Squared distances, ascending.
 Few = wp.types.vector(5, wp.float32)
 
 
@@ -141,10 +141,38 @@ def keep_chunk(w: int, b: int, other: int, x: float, y: float, z: float, best: F
 
 @wp.func
 def closest_points(w: int, b: int, place: wp.vec3, limit: float, t: int, team: int, lanes: int, c: Any):
-    """Squared distances below ``limit`` of the points of cloud b closest to a place, of every ``team``-th chunk."""
+    """Squared distances below ``limit`` of the points of cloud b closest to a place, of every ``team``-th chunk from t.
+
+    Every lane keeps the five least of its own points, sorted by minima and maxima; the five least are among these.
+    """
+    x = real(place[0], c.point[w, b, 0, 0])
+    y = real(place[1], x)
+    z = real(place[2], x)
+    first = real(limit, x)
+    second = first
+    third = first
+    fourth = first
+    fifth = first
+    for j in range(t, c.point.shape[3], team):
+        d2 = squared(c.point[w, b, 0, j] - x, c.point[w, b, 1, j] - y, c.point[w, b, 2, j] - z)
+        if any_neg(d2 - fifth):
+            more = max_(first, d2)
+            first = min_(first, d2)
+            d2 = max_(second, more)
+            second = min_(second, more)
+            more = max_(third, d2)
+            third = min_(third, d2)
+            d2 = max_(fourth, more)
+            fourth = min_(fourth, more)
+            fifth = min_(fifth, d2)
     best = Few(limit)
-    for other in range(t, c.point.shape[3], team):
-        best = keep_chunk(w, b, other, place[0], place[1], place[2], best, lanes, c)
+    for i in range(lanes):
+        best = keep_least(best, lane(first, i))
+        best = keep_least(best, lane(second, i))
+        best = keep_least(best, lane(third, i))
+        if lane(fourth, i) < best[4]:
+            best = keep_least(best, lane(fourth, i))
+            best = keep_least(best, lane(fifth, i))
     return best
 
 
@@ -189,36 +217,52 @@ def closest_pairs(w: int, a: int, b: int, limit: float, t: int, team: int, c: An
 
 @cache
 def nearest_kernel(width: int = 1) -> Any:
-    """Return the kernel that finds the least squared distances [m^2]: end-effector to branches, and robot to target.
+    """Return the kernel that finds the five least squared distances [m^2] from a place to branch points.
 
-    Threads as in `occlusion_kernel`. ``point_out`` and ``pair_out`` [worlds, T] hold five each, ascending; what is not
-    closer than ``far`` and ``limit`` (squared distances) holds these.
+    Threads as in `occlusion_kernel`. ``point_out`` [worlds, T] is ascending; what is not closer than ``far`` (a squared
+    distance) holds that.
     """
     t = cloud_types(width)
     Clouds, W = t.Clouds, width
 
     @wp.kernel(enable_backward=False, module="unique")
     def nearest(
-        c_in: Clouds, place_in: wp.array(dtype=wp.vec3), far: float, limit: float, first: int,
-        point_out: wp.array2d(dtype=Few), pair_out: wp.array2d(dtype=Few),
-    ):  # fmt: skip
+        c_in: Clouds, place_in: wp.array(dtype=wp.vec3), far: float, first: int, point_out: wp.array2d(dtype=Few)
+    ):
         tag = SOURCE  # noqa: F841
         t, i = wp.tid()
         w = first + i
-        team = point_out.shape[1]
         point = Few(far)
-        pair = Few(limit)
         if c_in.present[w, BRANCHES] > 0:
-            point = closest_points(w, BRANCHES, place_in[w], far, t, team, W, c_in)
+            point = closest_points(w, BRANCHES, place_in[w], far, t, point_out.shape[1], W, c_in)
+        point_out[w, t] = point
+
+    return nearest
+
+
+@cache
+def margin_kernel(width: int = 1) -> Any:
+    """Return the kernel that finds the five least squared distances [m^2] of robot-target pairs, those below ``limit``.
+
+    Threads as in `occlusion_kernel`. ``pair_out`` [worlds, T] is ascending; what is not below ``limit`` holds that.
+    """
+    t = cloud_types(width)
+    Clouds, W = t.Clouds, width
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def margin(c_in: Clouds, limit: float, first: int, pair_out: wp.array2d(dtype=Few)):
+        tag = SOURCE  # noqa: F841
+        t, i = wp.tid()
+        w = first + i
+        pair = Few(limit)
         if c_in.present[w, ROBOT] * c_in.present[w, TARGET] > 0:
             if wp.static(W > 1):
                 pair = closest_pairs_lanes(w, ROBOT, TARGET, limit, W, c_in)
             else:
-                pair = closest_pairs(w, ROBOT, TARGET, limit, t, team, c_in)
-        point_out[w, t] = point
+                pair = closest_pairs(w, ROBOT, TARGET, limit, t, pair_out.shape[1], c_in)
         pair_out[w, t] = pair
 
-    return nearest
+    return margin
 
 
 @wp.kernel(enable_backward=False, module="unique")

@@ -14,6 +14,7 @@ from ..sim.files import output_folder
 from .play import Film
 from .ppo_settings import preset_of
 from .task import TaskRegistry, builtin_tasks, require_rsl_rl, unseen_seed
+from .threads import one_thread
 
 if TYPE_CHECKING:
     from .evaluate import Policy
@@ -57,7 +58,7 @@ class Play:
         task, policy = self._cast(registry)
         every = max(1, round(1.0 / (self.fps * task.step_seconds)))
         steps = None if self.seconds is None else max(1, round(self.seconds / task.step_seconds))
-        with output_folder(self.out) as work, bar("playing", None) as advance:
+        with output_folder(self.out) as work, bar("playing", None) as advance, one_thread():
             episode = Episode(task, policy, steps=steps, every=every, progress=advance)
             name = write_film(work, episode, self.film, 1.0 / (every * task.step_seconds))
         seconds = episode.done * task.step_seconds

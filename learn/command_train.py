@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,7 +68,8 @@ class Train:
         if going_on and processes.first:
             warn_of_differences(folder, plan)
         try:
-            with bar(f"learning {plan.task}", plan.ppo.iterations) as advance:
+            silent = nullcontext(lambda done: None)
+            with bar(f"learning {plan.task}", plan.ppo.iterations) if processes.first else silent as advance:
                 trainer = train(plan, self.out, registry, resume=going_on, progress=advance)
         except LostError as error:
             warn(f"{error}; the newest checkpoint is from before")

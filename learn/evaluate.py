@@ -15,6 +15,7 @@ from ..sim.errors import InputError
 from .ppo_settings import PPOSettings
 from .run_folder import CONFIG, MODEL, RunFolder, replace_text
 from .task import METRICS, Task, TaskRegistry, settings_from, unseen_seed
+from .threads import one_thread
 from .train_report import at_the_end
 
 if TYPE_CHECKING:
@@ -201,7 +202,8 @@ def evaluate(
         for name, results in found.items():
             task.restore(start)
             policy = zero(task) if name == "zero" else random(task, test_seed) if name == "random" else trained.on(task)
-            results.append(columns(first_episodes(task, policy)))
+            with one_thread():
+                results.append(columns(first_episodes(task, policy)))
             progress(1)
     end = at_the_end(folder.metrics(), "return")
     rows = [Row(n, end if n == "trained" else math.nan, sets * worlds, results) for n, results in found.items()]

@@ -21,6 +21,7 @@ from .processes import Processes
 CONFIG, METRICS_FILE, CHECKPOINTS, MANIFEST = "config.json", "metrics.csv", "checkpoints", "manifest.json"
 MODEL = "model"
 FORMAT, CHECKPOINT_FORMAT = "bough-run/1", "bough-checkpoint/1"
+_SETTINGS = {"task", "ppo", "seed", "device", "processes", "versions"}
 _A_RUN = "a folder that bough train wrote"
 
 
@@ -49,7 +50,7 @@ class RunFolder:
         if not file.exists():
             raise InputError(self.path, "", f"no {CONFIG}" if self.path.is_dir() else "no such folder", _A_RUN)
         found = _json(file, _A_RUN)
-        if found.get("format") != FORMAT or not {"task", "ppo", "seed", "processes"} <= set(found):
+        if found.get("format") != FORMAT or not set(found) >= _SETTINGS:
             raise InputError(file, "format", str(found.get("format")), FORMAT)
         return found
 

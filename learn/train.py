@@ -76,7 +76,7 @@ class Trainer:
         self.processes = processes or Processes()
         torch.manual_seed(policy_seed(plan.seed, self.processes.rank))
         self.runner = Runner(task, plan.ppo, self.processes, self._after)
-        self.done, self.saved, self._steps = 0, 0, 0
+        self.done, self._steps = 0, 0
 
     @property
     def _own(self) -> str:
@@ -111,7 +111,7 @@ class Trainer:
         torch.set_rng_state(own["random"])
         if "random_cuda" in own:
             torch.cuda.set_rng_state(own["random_cuda"], self.task.device)
-        self.done = self.saved = done
+        self.done = done
         self._steps = int(own["steps"])
         if self.processes.first:
             self.folder.keep_metrics(done)
@@ -158,7 +158,6 @@ class Trainer:
         states = {self._own: own} | ({MODEL: self.runner.state()} if self.processes.first else {})
         about = {"task": self.task.name, "version": self.task.version}
         self.folder.save(self.done, states, about, self.processes)
-        self.saved = self.done
 
 
 def train(

@@ -129,7 +129,7 @@ def _text(shape: Sequence[int]) -> str:
     return ", ".join(map(str, shape))
 
 
-def _cloud(name: str, points: torch.Tensor) -> tuple[torch.Tensor, wp.array]:
+def _cloud(name: str, points: torch.Tensor) -> tuple[torch.Tensor, Any]:
     """Clouds [batch, N, 3] as a view where strides allow it, for torch and for Warp."""
     if points.ndim < 2 or points.shape[-1] != 3:
         raise InputError("perception", name, f"shape [{_text(points.shape)}]", "[..., N, 3]")
@@ -137,7 +137,7 @@ def _cloud(name: str, points: torch.Tensor) -> tuple[torch.Tensor, wp.array]:
     return flat, wp.from_torch(flat, dtype=wp.float32)
 
 
-def _marks(name: str, mask: torch.Tensor | None, points: torch.Tensor, device: Any) -> wp.array:
+def _marks(name: str, mask: torch.Tensor | None, points: torch.Tensor, device: Any) -> Any:
     """Mask [batch, N] as Warp takes it; a dummy for None."""
     if mask is None:
         return _no_mask(str(device))
@@ -153,7 +153,7 @@ def _no_mask(device: str) -> wp.array:
     return wp.zeros((1, 1), dtype=wp.bool, device=device)
 
 
-def _half(frequencies: torch.Tensor | None, features: int, bandwidth: float, seed: int, device: Any) -> wp.array:
+def _half(frequencies: torch.Tensor | None, features: int, bandwidth: float, seed: int, device: Any) -> Any:
     """Frequencies over 2 as Warp takes them."""
     if frequencies is None:
         return _drawn(features, bandwidth, seed, str(device))

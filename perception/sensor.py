@@ -13,7 +13,7 @@ import torch
 import warp as wp
 
 from ..kernels.embedding import embed_clouds_kernel
-from ..kernels.nearest import Few, finish_kernel, nearest_kernel, occlusion_kernel
+from ..kernels.nearest import Few, finish_kernel, margin_kernel, nearest_kernel, occlusion_kernel
 from ..kernels.point_cloud import NUM_CLOUDS, Shapes, cloud_types, sample_kernel
 from ..sim import arrays
 from ..sim.errors import InputError
@@ -144,7 +144,7 @@ class Sensor:
         self._allocate_clouds()
         self._allocate_outputs(_TEAM if self._worlds_inside else 1)
         self._updates: dict[bool, Callable[[], None]] = {}
-        self._bound = 0
+        self._observation: Any = None
 
     # ---- memory --------------------------------------------------------------------------------------------------
 
@@ -191,14 +191,16 @@ class Sensor:
         return view
 
     def _allocate_outputs(self, team: int) -> None:
-        s, n, on = self.settings, self.num_worlds, {"device": self.device}
-        self._occlusion, self._breach, self._max_noise = (wp.zeros(n, dtype=wp.float32, **on) for _ in range(3))
-        self._distances = wp.zeros((n, 5), dtype=wp.float32, **on)
-        self._tick = wp.zeros(n, dtype=int, **on)
-        self._count = wp.zeros((n, team), dtype=int, **on)
-        self._point, self._pair = (wp.zeros((n, team), dtype=Few, **on) for _ in range(2))
+        s, n = self.settings, self.num_worlds
+
+        def zeros(dtype: Any, *shape: int) -> Any:
+            return wp.zeros((n, *shape), dtype=dtype, device=self.device)
+
+        self._occlusion, self._breach, self._max_noise = (zeros(wp.float32) for _ in range(3))
+        self._distances, self._tick = zeros(wp.float32, 5), zeros(int)
+        self._count, self._point, self._pair = zeros(int, team), zeros(Few, team), zeros(Few, team)
         frequencies = draw_frequencies(s.features, s.bandwidth, s.frequency_seed)
-        self._half = wp.array(frequencies / 2, dtype=wp.vec3, **on)
+        self._half: Any = wp.array(frequencies / 2, dtype=wp.vec3, device=self.device)
         self.frequencies = torch.tensor(frequencies, device=wp.device_to_torch(self.device))
         self.occlusion: torch.Tensor = wp.to_torch(self._occlusion)
         self.breach: torch.Tensor = wp.to_torch(self._breach)
@@ -232,11 +234,11 @@ class Sensor:
             if not 0 <= first <= numbers - size[name] or rows != self.num_worlds:
                 found = f"columns {first} to {first + size[name] - 1} of [{rows}, {numbers}]"
                 raise InputError("sensor", name, found, f"columns of [{self.num_worlds}, {numbers}]")
-        array = wp.from_torch(observation) if isinstance(observation, torch.Tensor) else observation
-        first = [[columns.get(name, -1) for name in names] for names in (_EMBEDDED, _LOCAL)]
-        self._columns = [wp.array(c, dtype=int, device=self.device) for c in first]
-        self._bound = array.ptr
-        self._updates = {split: self._prepare(array, split=split) for split in (False, True)}
+        array: Any = wp.from_torch(observation) if isinstance(observation, torch.Tensor) else observation
+        begin = [[columns.get(name, -1) for name in names] for names in (_EMBEDDED, _LOCAL)]
+        self._columns: list[Any] = [wp.array(c, dtype=int, device=self.device) for c in begin]
+        self._observation = array
+        self._updates = {split: self._prepare(split=split) for split in (False, True)}
 
     def update(
         self, observation: torch.Tensor | wp.array | None = None, tick: int | torch.Tensor | None = None
@@ -252,22 +254,24 @@ class Sensor:
         """
         if observation is not None:
             pointer = observation.data_ptr() if isinstance(observation, torch.Tensor) else observation.ptr
-            if pointer != self._bound:
+            if self._observation is None or pointer != self._observation.ptr:
                 self.bind(observation)
         if tick is not None:
             self.tick.copy_(tick) if isinstance(tick, torch.Tensor) else self.tick.fill_(tick)
         self._updates[not self.device.is_capturing]()
 
-    def _prepare(self, observation: wp.array, *, split: bool) -> Callable[[], None]:
+    def _prepare(self, *, split: bool) -> Callable[[], None]:
         """Return a function that launches all kernels; on a CPU each thread takes a run of worlds through all."""
-        threads = self.threads if split else 1
-        cuts = np.linspace(0, self.num_worlds, threads + 1).astype(int).tolist()
-        ranges = pairwise(cuts)
-        runs = [_Run(self._record(observation, a, b - a)) for a, b in ranges if b > a]
+        cuts = np.linspace(0, self.num_worlds, (self.threads if split else 1) + 1).astype(int).tolist()
+        runs = [_Run(self.commands(a, b - a)) for a, b in pairwise(cuts)]
         return runs[0].launch if len(runs) == 1 else lambda: _together(runs)
 
-    def _record(self, observation: wp.array, first: int, count: int) -> list[Any]:
-        """Record the launches of ``count`` worlds from ``first``: a call then costs microseconds and no memory."""
+    def commands(self, first: int, count: int) -> list[Any]:
+        """Return the recorded launches for ``count`` worlds from ``first``, after `bind`.
+
+        They sample, embed, count occluding pairs, find the nearest points and the closest pairs, and write the scores;
+        a launch costs microseconds and allocates nothing.
+        """
         s, w, team = self.settings, self.width, self._count.shape[1]
         embedded, local = self._columns
         by_cloud = (count, NUM_CLOUDS) if w > 1 else (NUM_CLOUDS, count)
@@ -276,13 +280,13 @@ class Sensor:
         plan: list[tuple[Any, tuple[int, ...], list[Any]]] = [
             (sample_kernel(w), by_cloud, [self._capsules, self._num_arm, self._target, cap, s.zoom, self._seed,
                                           self._tick, self._max_noise, first, self._clouds]),
-            (embed_clouds_kernel(w), by_wave, [self._clouds, self._half, embedded, first, observation]),
+            (embed_clouds_kernel(w), by_wave, [self._clouds, self._half, embedded, first, self._observation]),
             (occlusion_kernel(w), (team, count),
              [self._clouds, _squared(s.threshold), s.pairs, first, self._count]),
-            (nearest_kernel(w), (team, count),
-             [self._clouds, self._ee, s.farthest**2, limit, first, self._point, self._pair]),
+            (nearest_kernel(w), (team, count), [self._clouds, self._ee, s.farthest**2, first, self._point]),
+            (margin_kernel(w), (team, count), [self._clouds, limit, first, self._pair]),
             (finish_kernel, (count,), [self._count, self._point, self._pair, s.pairs, s.margin, local, first,
-                                       self._tick, self._occlusion, self._distances, self._breach, observation]),
+                                       self._tick, self._occlusion, self._distances, self._breach, self._observation]),
         ]  # fmt: skip
         return [wp.launch(k, dim=d, inputs=i, device=self.device, record_cmd=True) for k, d, i in plan]
 

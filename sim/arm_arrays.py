@@ -56,7 +56,8 @@ class ArmArrays:
             self._field(self._work, name, worlds, self.types.Square)
         for name in ("bias", "weight", "load", "velocity", "held"):
             self._field(self._work, name, worlds, self.types.Row)
-        self._field(self._work, "loose", worlds, int)
+        for name in ("loose", "settled"):
+            self._field(self._work, name, worlds, int)
         self.start, self.end = self._work.start, self._work.end
         views = {name: wp.to_torch(getattr(self._state, name)) for name in self._state._cls.vars}
         self.q, self.qd, self.torque, self.target = (views[k] for k in ("q", "qd", "torque", "target"))
@@ -272,12 +273,12 @@ class TouchArrays:
         kinds = {"at": "Vec", "velocity": "Vec", "A": "Sym", "B": "Mat", "M": "Sym", "n": "Vec", "f": "Vec"}
         for name, kind in kinds.items():
             self._fields[name] = launcher.field(kind)
-        self._fields["near"] = launcher.field("Vec", places=self.num_arm + 2)
+        self._fields["near"] = launcher.field("Vec", places=self.num_arm + 3)
         for name, field in self._fields.items():
             setattr(out, name, field.kernel)
             if name not in ("at", "velocity"):
                 setattr(out, f"{name}_entry", field.entries())
-        self._fields["near"].torch.fill_(FAR)
+        self._fields["near"].torch.fill_(-FAR)  # lanes without a world: far from absent capsules
         rows, places = self._fields["at"].kernel.shape
         self._touched = wp.zeros((rows, places), dtype=int, device=self.device)
         out.touched = self._touched

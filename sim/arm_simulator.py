@@ -17,6 +17,7 @@ from ..kernels.contact_step import contact_step_kernel
 from ..kernels.reset_arm import reset_arm_kernel
 from .arm import Arm
 from .arm_arrays import ArmArrays, TouchArrays
+from .rupture import Rupture
 from .errors import InputError
 from .model import Model
 from .simulator import Simulator
@@ -105,6 +106,7 @@ class ArmSimulator(Simulator):
         line_mask: 1 where branches touch the line, int32, to be written in place, [worlds].
         start_q: Joint positions that `reset` returns to, to be written in place [rad], [worlds, dof].
         overflow: Contacts that found no room since the start, int32 [worlds].
+        rupture: Strength of every joint and which are broken (`Rupture`), None unless ``breakable``.
         capsules, line: The same as Warp arrays, for perception.
     """
 
@@ -120,6 +122,7 @@ class ArmSimulator(Simulator):
         device: Any = None,
         threads: int | None = None,
         width: int | None = None,
+        breakable: bool = False,
     ) -> None:
         """Allocate everything that stepping needs.
 
@@ -133,6 +136,7 @@ class ArmSimulator(Simulator):
             device: Warp device; None takes Warp's default.
             threads: CPU threads; None takes all cores.
             width: Worlds a thread; None takes what suits the device and the number of worlds.
+            breakable: Whether joints break whose springs pass `strength`.
 
         Raises:
             InputError: As `Model` and `Simulator` do.
@@ -165,6 +169,7 @@ class ArmSimulator(Simulator):
         self.start_q: torch.Tensor = wp.to_torch(self._start_q)
         self.start_q.copy_(torch.tensor(arm.home, dtype=torch.float32))
         self._make_capsules()
+        self.rupture = Rupture(self) if breakable else None
         self.reset()
 
     q: torch.Tensor
@@ -214,6 +219,12 @@ class ArmSimulator(Simulator):
 
     # ---- stepping ----------------------------------------------------------------------------------------------------
 
+    def step(self, count: int = 1) -> None:
+        """Advance all worlds by ``count`` steps of ``dt``; joints break between calls, not within one."""
+        super().step(count)
+        if self.rupture is not None:
+            self.rupture.judge()
+
     def _prepare_step(self, count: int, *, split: bool) -> Callable[[], None]:
         kernel = contact_step_kernel(self.model.width, self.arm.num_dofs)
         before = [self._dynamics, self.state.kernel, *self._arm.kernel, *self._touch.kernel, self._slot_world]
@@ -238,6 +249,8 @@ class ArmSimulator(Simulator):
         super().reset(mask)
         mask = self._everyone if mask is None else mask.to(self._everyone.device)
         chosen = wp.from_torch(mask.contiguous(), dtype=wp.bool)
+        if self.rupture is not None:
+            self.rupture.heal(chosen)
         kernel = reset_arm_kernel(self.arm.num_dofs)
         inputs = [chosen, self._start_q, *self._arm.kernel, self._touch.kernel[0]]
         wp.launch(kernel, dim=self.model.num_worlds, inputs=inputs, device=self.model.device)

@@ -126,9 +126,10 @@ def _through_newton(path: Path, name: str) -> Tree:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # meshes that are only drawn may be missing
             builder.add_urdf(str(path))
+            model = builder.finalize(device="cpu", skip_validation_inertia=True)
     except Exception as e:  # Newton raises whatever its reading of a malformed shape or limit stumbles on
         raise InputError(path, "", f"a robot that Newton cannot read ({e})", "a valid URDF") from None
-    tree = from_newton(builder.finalize(device="cpu", skip_validation_inertia=True))[0]
+    tree = from_newton(model)[0]
     return tree.with_(name=name)
 
 

@@ -108,8 +108,8 @@ class SceneSettings:
     decay: float = 1.0 / 3.0
     firm: float = 20.0
     target: Target = Target()
-    distance: Range = (0.45, 0.75)
-    bearing: float = 20.0
+    distance: Range = (0.50, 0.65)
+    bearing: float = 10.0
     height: Range = (-0.35, -0.05)
     tilt: float = 15.0
     side: float = 60.0
@@ -117,14 +117,14 @@ class SceneSettings:
     depth: Range = (0.02, 0.10)
     reach: Range = (0.30, 0.75)
     near: float = 0.10
-    pairs: Range = (150.0, 500.0)
+    pairs: Range = (150.0, 350.0)
     points: int = 512
     gap: float = 0.02
     target_gap: float = 0.10
     stiffness: Range = (0.7, 1.4)
     damping: Range = (0.7, 1.4)
     friction: Range = (0.3, 0.7)
-    attempts: int = 256
+    attempts: int = 512
 
     def check(self, reach: float = np.inf) -> SceneSettings:
         """Return self if a scene can be made of it for an arm that reaches ``reach`` metres from its shoulder.

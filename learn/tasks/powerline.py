@@ -97,10 +97,11 @@ class Powerline(VecEnv):
         self.simulator = ArmSimulator(trees, arm, contacts=contacts, device=self._device)
         self.scene = Scene(self.simulator, distinct, index, s, seed=seed, domain=domain)
         line = self.simulator.line
-        target = self.scene.target if s.target.strips > 1 else Axes(line.start, line.end)
+        target: Any = self.scene.target if s.target.strips > 1 else Axes(line.start, line.end)
+        capsules: Any = self.simulator.capsules
         hand = self.simulator._arm.kernel[1].end_position
         points = int(seed_sequence(seed, domain).generate_state(5)[4] >> 1)
-        self.sensor = Sensor(self.simulator.capsules, target, hand, self.cfg.sensor, seed=points, device=self._device)
+        self.sensor = Sensor(capsules, target, hand, self.cfg.sensor, seed=points, device=self._device)
 
     def _make_rules(self, seed: int, domain: str) -> Any:
         out, s = kernels.TaskRules(), self.cfg
@@ -148,10 +149,11 @@ class Powerline(VecEnv):
         wanted = ("wbr", "zbr", "clr", "rob", "distances", "breach", "occlusion")
         self.sensor.bind(self._seen, {k: self.columns[k] for k in wanted if k in self.columns})
         first = [self.columns.get(name, -1) for name in ("q", "qd", "hand", "touch")]
-        self._first = wp.array(first, dtype=wp.int32, device=self._device)
+        self._first: wp.array = wp.array(first, dtype=wp.int32, device=self._device)
         _, self._arm, _ = sim._arm.kernel
-        self._speed_limit = wp.array(sim.arm.velocity_limit.astype(np.float32), device=self._device)
-        self._slot = wp.array(sim.model.world_slot.astype(np.int32), device=self._device)
+        limit = sim.arm.velocity_limit.astype(np.float32)
+        self._speed_limit: wp.array = wp.array(limit, dtype=wp.float32, device=self._device)
+        self._slot: wp.array = wp.array(sim.model.world_slot.astype(np.int32), device=self._device)
         self._max_noise = wp.from_torch(self.sensor.max_noise)
         self._scores = [wp.from_torch(self.sensor.occlusion), wp.from_torch(self.sensor.breach)]
 

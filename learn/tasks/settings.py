@@ -126,8 +126,8 @@ def _need(ok: bool, place: str, found: str, allowed: str) -> None:
 PRESETS = {
     "cpu": TaskSettings(),
     "gpu": TaskSettings(
-        scene=SceneSettings(order=3), policy_rate=60.0, episode_steps=1000, max_noise=(0.005, 0.02),
-        action_delay=2, observation_delay=2,
+        scene=SceneSettings(order=3, distance=(0.45, 0.75), bearing=20.0, pairs=(150.0, 1500.0)),
+        policy_rate=60.0, episode_steps=1000, max_noise=(0.005, 0.02), action_delay=2, observation_delay=2,
     ),
 }  # fmt: skip
 """Settings by size of the machine: trees of 17 links at 10 Hz for 12 s, or of 40 links at 60 Hz for 17 s."""

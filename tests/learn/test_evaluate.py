@@ -15,17 +15,21 @@ from bough.learn.command_evaluate import Evaluate
 from bough.learn.command_play import Play
 from bough.learn.command_train import Train
 from bough.learn.evaluate import COLUMNS, Row, columns, evaluate, first_episodes, random, table, zero
+from bough.learn.ppo_settings import PRESETS
 from bough.learn.run_folder import RunFolder
 from bough.learn.task import METRICS, unseen_seed
 from bough.sim.errors import InputError
 from oracles.reach_task import LENGTH, ReachSettings, registry
+from oracles.train_reach import TINY
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """Folder of a short run."""
     out = tmp_path_factory.mktemp("run") / "run"
-    assert Train("reach", out, num_envs=8, iterations=2).run(registry()) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PRESETS, "cpu", TINY)
+        assert Train("reach", out, iterations=2).run(registry()) == 0
     return out
 
 

@@ -4,6 +4,7 @@ import hashlib
 import json
 import re
 import shutil
+import subprocess
 import sys
 from dataclasses import replace
 
@@ -15,12 +16,19 @@ from bough.learn.ppo_runner import InPlacePPO, Runner
 from bough.learn.ppo_settings import PRESETS, PPOSettings
 from bough.learn.processes import Processes
 from bough.learn.run_folder import MODEL, RunFolder
-from bough.learn.task import builtin_tasks, policy_seed, task_seed, unseen_seed
+from bough.learn.task import policy_seed, task_seed, unseen_seed
 from bough.learn.train import LostError, Plan, Trainer, train
 from bough.sim.errors import InputError
 from oracles.reach_task import LENGTH, ReachSettings, best_return, registry
+from oracles.train_reach import TINY
 
 SMALL = PPOSettings(num_envs=16, iterations=6, horizon=8, hidden=(16,), checkpoint_every=2)
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    """Let the command's preset be a tiny one, whatever bough's own is."""
+    monkeypatch.setitem(PRESETS, "cpu", TINY)
 
 
 def plan(seed: int = 0, **ppo) -> Plan:
@@ -147,13 +155,13 @@ def test_seeds_of_tests_are_never_those_of_training():
 # ---- what is written -----------------------------------------------------------------------------------------------
 
 
-def test_command_writes_the_run_folder(tmp_path, capsys):
+def test_command_writes_the_run_folder(tmp_path, capsys, tiny):
     """Write settings, numbers, curve, report and checkpoint; say so in one line; refuse to do it over."""
     out = tmp_path / "run"
     command = Train("reach", out, num_envs=8, iterations=2, seed=3, without=("time",))
     assert command.run(registry()) == 0
     said = capsys.readouterr()
-    assert re.fullmatch(r"reach: 2 iterations, 512 steps, return -?[\d.]+, success [\d.]+ % in training. "
+    assert re.fullmatch(r"reach: 2 iterations, 128 steps, return -?[\d.]+, success [\d.]+ % in training. "
                         r"Open \S*run/report.html\n", said.out)  # fmt: skip
     assert {p.name for p in out.iterdir()} == {"config.json", "metrics.csv", "learning.png", "report.html",
                                                "checkpoints"}  # fmt: skip
@@ -182,17 +190,17 @@ def test_metrics_are_means_over_finished_episodes(whole):
         assert row["collect_seconds"] > 0
 
 
-def test_a_loss_that_is_not_finite_ends_the_run(tmp_path, capsys, monkeypatch):
+def test_a_loss_that_is_not_finite_ends_the_run(tmp_path, capsys, monkeypatch, tiny):
     """Stop with exit code 3 and a line, the checkpoint from before untouched."""
     after = Trainer._after
 
     def spoilt(self, iteration):
-        after(self, replace(iteration, losses={"value": float("nan")}) if iteration.number == 11 else iteration)
+        after(self, replace(iteration, losses={"value": float("nan")}) if iteration.number == 5 else iteration)
 
     monkeypatch.setattr(Trainer, "_after", spoilt)
-    assert Train("reach", tmp_path / "run", num_envs=4, iterations=12).run(registry()) == 3
-    assert "no longer finite in iteration 11" in capsys.readouterr().err
-    assert RunFolder(tmp_path / "run").newest().check("reach", 1) == 10
+    assert Train("reach", tmp_path / "run", iterations=6).run(registry()) == 3
+    assert "no longer finite in iteration 5" in capsys.readouterr().err
+    assert RunFolder(tmp_path / "run").newest().check("reach", 1) == 4
     assert issubclass(LostError, RuntimeError)
 
 
@@ -301,12 +309,25 @@ def test_checkpoints_of_another_task_or_version_are_refused(whole, tmp_path, mon
         Train("reach", whole, resume=True).run(registry())
 
 
-def test_says_which_extra_is_missing(monkeypatch):
-    """Name the package and what to install where rsl-rl is not there."""
-    monkeypatch.setitem(sys.modules, "rsl_rl.env", None)
-    monkeypatch.setitem(sys.modules, "rsl_rl", None)
-    with pytest.raises(InputError, match=r"no rsl_rl\S*; allowed: pip install 'bough\[train\]'"):
-        builtin_tasks()
+def test_says_which_extra_is_missing():
+    """Load the commands without rsl-rl and tensordict, and name what to install in one line, for each of them."""
+    code = (
+        "import sys\n"
+        "for name in ('rsl_rl', 'rsl_rl.env', 'tensordict'):\n"
+        "    sys.modules[name] = None\n"
+        "from pathlib import Path\n"
+        "from bough.learn.command_evaluate import Evaluate\n"
+        "from bough.learn.command_play import Play\n"
+        "from bough.learn.command_train import Train\n"
+        "from bough.sim.errors import InputError\n"
+        "for command in (Train('powerline', Path('run')), Evaluate(Path('run')), Play('zero', Path('film'))):\n"
+        "    try:\n"
+        "        command.run()\n"
+        "    except InputError as error:\n"
+        "        print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout == "bough: found no rsl_rl.env; allowed: pip install 'bough[train]'\n" * 3
 
 
 def test_presets_can_be():

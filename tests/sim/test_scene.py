@@ -178,7 +178,7 @@ def test_branches_occlude_at_the_start(worlds):
     rng = np.random.default_rng(0)
     scores = np.array([occlusion(worlds, w, rng) for w in range(WORLDS)])
     assert scores.mean() >= 0.7
-    assert scores[worlds.scene.breach.numpy() == 0.0].min() > 0.5
+    assert scores[worlds.scene.breach.numpy() == 0.0].min() > 0.25  # 150 pairs are expected, and come in clusters
 
 
 def test_clearing_takes_a_push_of_centimetres(worlds):

@@ -1,0 +1,151 @@
+"""The arm among branches on a GPU: sections of `benchmarks/gpu.py`, which puts them into its report."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+import warp as wp
+
+os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
+
+#: Time of the thesis's four embeddings at 1024 worlds (table 5.3) [s], and its success with all features [%].
+THESIS_EMBEDDING, THESIS_SUCCESS = 1.2e-3, 68.4
+
+
+def _task(device: str, quick: bool, worlds: int, test: bool = False) -> Any:
+    from bough.learn.tasks import PRESETS, make_task
+
+    preset = PRESETS["cpu" if quick else "gpu"]
+    return make_task("powerline", preset, num_envs=worlds, seed=0, device=device, test=test)
+
+
+def _wait(device: str) -> None:
+    if "cuda" in device:
+        torch.cuda.synchronize(torch.device(device))
+
+
+def _seconds(work: Callable[[], Any], device: str, count: int) -> float:
+    """Seconds of one call, of ``count`` in a row after one that warms up."""
+    work()
+    _wait(device)
+    begun = time.perf_counter()
+    for _ in range(count):
+        work()
+    _wait(device)
+    return (time.perf_counter() - begun) / count
+
+
+def check_arm_step(device: str, quick: bool) -> dict[str, Any]:
+    """Step all worlds under random actions: no world lost, no contact without room, the same memory every step."""
+    worlds = 16 if quick else 6144
+    begun = time.perf_counter()
+    task = _task(device, quick, worlds)
+    built = time.perf_counter() - begun
+    generator = torch.Generator(device=task.device).manual_seed(0)
+    before = [t.data_ptr() for t in (task.observation, task.reward, task.done, task.actions)]
+    for _ in range(5 if quick else 200):
+        task.actions.uniform_(-1.0, 1.0, generator=generator)
+        observed, reward, done, _ = task.step(task.actions)
+    lost, full = int(task.lost.sum()), int(task.simulator.overflow.sum())
+    after = [t.data_ptr() for t in (observed["policy"], reward, done, task.actions)]
+    finite = bool(torch.isfinite(task.observation).all())
+    return {"worlds": worlds, "build_s": built, "lost": lost, "contacts_without_room": full,
+            "ok": lost == 0 and full == 0 and finite and before == after}  # fmt: skip
+
+
+def check_copies(device: str, quick: bool) -> dict[str, Any]:
+    """Count the copies between host and device that the profiler sees in ten replayed policy steps: none."""
+    task = _task(device, quick, 16 if quick else 1024)
+    for _ in range(3):
+        task.step(task.actions)
+    kinds = [torch.profiler.ProfilerActivity.CPU]
+    kinds += [torch.profiler.ProfilerActivity.CUDA] if "cuda" in device else []
+    with torch.profiler.profile(activities=kinds) as profile:
+        for _ in range(10):
+            task.step(task.actions)
+        _wait(device)
+    names = [e.key for e in profile.key_averages() if "memcpy" in e.key.lower() and "DtoD" not in e.key]
+    return {"copies": names, "ok": not names}
+
+
+def measure_shares(device: str, quick: bool) -> dict[str, Any]:
+    """Policy steps a second, and how they divide into physics, perception and learning's own forward pass."""
+    worlds, count = (16, 2) if quick else (6144, 20)
+    task = _task(device, quick, worlds)
+    whole = _seconds(lambda: task.step(task.actions), device, count)
+    physics = _captured(lambda: task.simulator.step(task.cfg.physics_steps), device)
+    sensing = _captured(task.sensor.update, device)
+    net = torch.nn.Sequential(
+        torch.nn.Linear(task.observation.shape[1], 256), torch.nn.ELU(), torch.nn.Linear(256, 128), torch.nn.ELU(),
+        torch.nn.Linear(128, 64), torch.nn.ELU(), torch.nn.Linear(64, task.num_actions),
+    ).to(task.device)  # fmt: skip
+    with torch.no_grad():
+        policy = _seconds(lambda: net(task.observation), device, count)
+    parts = {"physics": _seconds(physics, device, count), "perception": _seconds(sensing, device, count)}
+    steps = worlds / whole
+    return {"worlds": worlds, "policy_steps_per_s": steps, "world_steps_per_s": steps * task.cfg.physics_steps,
+            "step_s": whole, "policy_s": policy, **{f"{k}_share": v / whole for k, v in parts.items()},
+            "simulator_bytes": task.simulator.nbytes, "ok": True}  # fmt: skip
+
+
+def _captured(work: Callable[[], Any], device: str) -> Callable[[], Any]:
+    if "cuda" not in device:
+        return work
+    work()
+    with wp.ScopedCapture(device=device) as scope:
+        work()
+    return lambda: wp.capture_launch(scope.graph)
+
+
+def measure_embedding(device: str, quick: bool) -> dict[str, Any]:
+    """Time of the four embeddings of 512 points in 1024 worlds, beside the thesis's."""
+    from bough.perception import embed
+
+    worlds = 16 if quick else 1024
+    clouds = [torch.randn(worlds, 512, 3, device=device) for _ in range(4)]
+    alone = _seconds(lambda: [embed(c) for c in clouds], device, 3 if quick else 50)
+    task = _task(device, quick, worlds)
+    whole = _seconds(_captured(task.sensor.update, device), device, 3 if quick else 50)
+    return {"worlds": worlds, "four_embeddings_s": alone, "thesis_s": THESIS_EMBEDDING, "all_perception_s": whole,
+            "ok": True}  # fmt: skip
+
+
+class TimeUp(Exception):
+    """The time for training is over."""
+
+
+def measure_training(device: str, quick: bool, seconds: float, out: Path) -> dict[str, Any]:
+    """Train towards table 5.2 for as long as there is time, then evaluate in unseen worlds with all contacts on."""
+    from bough.learn.evaluate import evaluate
+    from bough.learn.ppo_settings import PRESETS as SIZES
+    from bough.learn.task import builtin_tasks
+    from bough.learn.train import Plan, train
+
+    registry, name = builtin_tasks(), "cpu" if quick else "gpu"
+    small = {"num_envs": 16, "iterations": 2, "horizon": 8} if quick else {}
+    ppo = replace(SIZES[name], checkpoint_every=2 if quick else 10, **small)
+    plan = Plan("powerline", registry.presets[name], ppo, 0, device)
+    end, done = time.perf_counter() + seconds, 0
+
+    def watch(iterations: int) -> None:
+        nonlocal done
+        done += iterations
+        if time.perf_counter() > end and done % ppo.checkpoint_every == 0:
+            raise TimeUp
+
+    begun = time.perf_counter()
+    with contextlib.suppress(TimeUp):
+        train(plan, out, registry, progress=watch)
+    took = time.perf_counter() - begun
+    rows = evaluate(out, registry, sets=1 if quick else 3, worlds=8 if quick else 512, device=device,
+                    baselines=("zero", "random"))  # fmt: skip
+    success = {f"{row.policy}_success_percent": row.mean("Test SR %") for row in rows}
+    return {"iterations": done, "policy_steps": done * ppo.horizon * ppo.num_envs, "train_s": took, **success,
+            "thesis_success_percent": THESIS_SUCCESS, "ok": done > 0}  # fmt: skip

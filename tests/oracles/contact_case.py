@@ -1,0 +1,130 @@
+"""Scenes of an arm among branches: posts, sliders, a 40-link tree that it sweeps through, and what one reads off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from bough.sim.arm import Arm, forward_kinematics
+from bough.sim.arm_simulator import ArmSimulator, Contacts
+from bough.sim.jaco2 import jaco2
+from bough.sim.tree import Joint, Tree, capsule_inertia
+
+DT = 1.0 / 240.0
+#: The arm stretched out: upper arm and forearm in one line that rises at 20 degrees, over the negative x axis.
+STRETCHED = np.deg2rad([0.0, 250.0, 180.0, 0.0, 180.0, 180.0])
+#: Springs of the ternary tree by level [N m/rad]; its dampers are a tenth of them.
+STIFFNESS = np.array([120.0, 40.0, 14.0, 5.0])
+
+
+def free_arm(**changes: float) -> Arm:
+    """Return the Jaco 2 with the given numbers in all joints, unlimited in position."""
+    arm = jaco2()
+    limits = {"lower": np.full(6, -np.inf), "upper": np.full(6, np.inf)}
+    return replace(arm, **limits, **{name: np.full(6, value) for name, value in changes.items()})
+
+
+def turn_of(direction) -> np.ndarray:
+    """Shortest turn from z to a direction, as a quaternion w, x, y, z."""
+    d = np.asarray(direction, np.float64) / np.linalg.norm(direction)
+    w = np.sqrt(max((1.0 + d[2]) / 2.0, 0.0))
+    return np.array([0.0, 1.0, 0.0, 0.0]) if w < 1e-9 else np.array([w, -d[1] / (2 * w), d[0] / (2 * w), 0.0])
+
+
+def post(
+    at, *, direction=(0.0, 0.0, 1.0), length: float = 0.4, radius: float = 0.01, stiffness: float = 100.0,
+    damping: float = 5.0, mass: float = 0.2, joint: Joint = Joint.SPHERICAL, axis=(0.0, 1.0, 0.0),
+) -> Tree:  # fmt: skip
+    """Make one capsule link that stands at a point [m] on a sprung joint and points along ``direction``.
+
+    ``axis``, of a hinge or a slide, is given in the link's own frame, whose z axis lies along the capsule.
+    """
+    across, along = capsule_inertia(mass, radius, length)
+    return Tree(
+        name="post", link_name=["post"], parent=[-1], joint=[joint], position=[at], rotation=[turn_of(direction)],
+        mass=[mass], com=[[0.0, 0.0, length / 2]], inertia=[np.diag([across, across, along])], stiffness=[stiffness],
+        damping=[damping], axis=[axis], shape_link=[0], shape_start=np.zeros((1, 3)),
+        shape_end=[[0.0, 0.0, length]], shape_radius=[[radius, radius]],
+    )  # fmt: skip
+
+
+def slider(at, *, half: float = 0.05, radius: float = 0.01, mass: float = 0.2) -> Tree:
+    """Make a capsule along y that slides freely along x and z, without turning: a body on an incline."""
+    across, along = capsule_inertia(mass, radius, 2 * half)
+    return Tree(
+        name="slider", link_name=["lift", "slide"], parent=[-1, 0], joint=[Joint.PRISMATIC] * 2,
+        position=[at, [0.0, 0.0, 0.0]], rotation=[[1.0, 0, 0, 0]] * 2, mass=[1e-4, mass], com=np.zeros((2, 3)),
+        inertia=[np.eye(3) * 1e-6, np.diag([across, along, across])], stiffness=[0.0] * 2, damping=[0.0] * 2,
+        axis=[[0.0, 0, 1.0], [1.0, 0, 0]], shape_link=[1], shape_start=[[0.0, -half, 0.0]],
+        shape_end=[[0.0, half, 0.0]], shape_radius=[[radius, radius]],
+    )  # fmt: skip
+
+
+def ternary(rng: np.random.Generator, *, order: int = 3, root=(-0.5, 0.55, -0.1), scale: float = 0.6) -> Tree:
+    """Make a ternary tree of capsules on ball joints with masses and springs varied by 10 %: order 3 has 40 links.
+
+    It stands beside the stretched arm, which sweeps through its crown when joint 1 turns.
+    """
+    parent, level, side, todo = [], [], [], [(-1, 0, 0)]
+    while todo:
+        above, depth, k = todo.pop()
+        parent.append(above)
+        level.append(depth)
+        side.append(k)
+        if depth < order:
+            todo += [(len(parent) - 1, depth + 1, k) for k in range(3)]
+    parent, level, side = (np.array(v) for v in (parent, level, side))
+    n = len(parent)
+    vary = rng.uniform(0.9, 1.1, (4, n))
+    length, radius = scale * 0.6 * 0.7**level * vary[0], scale * 0.03 * 0.6**level * vary[1]
+    mass, stiffness = 700.0 * np.pi * radius**2 * length * vary[2], STIFFNESS[level] * vary[3]
+    moments = np.array([(a, a, b) for a, b in map(capsule_inertia, mass, radius, length)])
+    about, tilt = 2 * np.pi * side / 3, np.where(level > 0, np.radians(35.0), 0.0)
+    w, s = np.cos(tilt / 2), np.sin(tilt / 2)
+    ends = np.outer(length, [0.0, 0.0, 1.0])
+    return Tree(
+        name="ternary", link_name=[f"link{i}" for i in range(n)], parent=parent, joint=np.full(n, Joint.SPHERICAL),
+        position=np.where((parent >= 0)[:, None], ends[parent], root),
+        rotation=np.stack([w, s * np.cos(about), s * np.sin(about), np.zeros(n)], axis=1), mass=mass, com=ends / 2,
+        inertia=moments[:, :, None] * np.eye(3), stiffness=stiffness, damping=stiffness / 10.0, level=level,
+        shape_link=np.arange(n), shape_start=np.zeros((n, 3)), shape_end=ends,
+        shape_radius=np.stack([radius, radius], axis=1),
+    )  # fmt: skip
+
+
+def simulator(trees, arm: Arm | None = None, *, q=STRETCHED, width: int = 1, contacts: dict | None = None, **options):
+    """Make a simulator on one thread whose arms start at ``q``, [dof] or [worlds, dof]."""
+    arm = jaco2() if arm is None else arm
+    sim = ArmSimulator(trees, arm, contacts=Contacts(**(contacts or {})), width=width, threads=1, **options)
+    sim.start_q.copy_(torch.as_tensor(np.asarray(q), dtype=torch.float32))
+    sim.reset()
+    return sim
+
+
+def contacts_of(sim: ArmSimulator, world: int = 0) -> np.ndarray:
+    """Contacts of a world in the last substep, a structured array: its numbers and what is in `kernels.contact.Contact`."""
+    return sim._touch.record.numpy()[world, : int(sim._touch.count[world])]
+
+
+def point_jacobian(arm: Arm, q: np.ndarray, link: int, point: np.ndarray) -> np.ndarray:
+    """Velocity of a world point carried by a link per unit joint rate, shape [3, dof], from the host's kinematics."""
+    points, turns, _ = forward_kinematics(arm, q)
+    axes = np.stack([_rotate(turns[j], arm.tree.axis[j]) for j in range(arm.num_dofs)])
+    columns = np.cross(axes, point - points)
+    columns[link + 1 :] = 0.0
+    return columns.T
+
+
+def _rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    w, u = q[0], q[1:]
+    return v + 2.0 * np.cross(u, np.cross(u, v) + w * v)
+
+
+def roughness(force: np.ndarray) -> float:
+    """Share of a force's mean that is noise from step to step.
+
+    The rms of the second difference over sqrt(6), by which white noise of that rms would show there, over the mean.
+    """
+    second = force[2:] - 2.0 * force[1:-1] + force[:-2]
+    return float(np.sqrt(np.mean(second**2) / 6.0) / np.mean(force))

@@ -1,0 +1,321 @@
+"""Arm and contact against closed forms and C MuJoCo: servo, stops, pushes, friction, energy, a sweep through a tree."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from bough.sim.arm_arrays import arm_capsules
+from bough.sim.jaco2 import jaco2
+from bough.sim.tree import Joint
+from oracles import mujoco_arm
+from oracles.contact_case import (
+    DT,
+    STRETCHED,
+    contacts_of,
+    free_arm,
+    point_jacobian,
+    post,
+    roughness,
+    simulator,
+    slider,
+    ternary,
+)
+from scipy.spatial.transform import Rotation
+
+#: A branch that nothing reaches.
+FAR = post((50.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _elsewhere(tmp_path_factory):
+    """Work in a scratch folder: C MuJoCo appends its warnings to MUJOCO_LOG.TXT in the current one."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("log"))
+        yield
+
+
+def drive(sim, seconds: float, target, read=lambda sim: sim.q[0].numpy().copy(), substeps: int = 1) -> np.ndarray:
+    """Step under ``target(t)``, [dof] or [worlds, dof], and return what ``read`` finds every 1/240 s."""
+    out = []
+    for k in range(round(seconds / DT)):
+        sim.target.copy_(torch.as_tensor(np.asarray(target(k * DT)), dtype=torch.float32))
+        sim.step(substeps)
+        out.append(read(sim))
+    assert sim.faults() == []
+    assert int(sim.overflow.sum()) == 0
+    return np.array(out)
+
+
+def mujoco_drive(arm, seconds: float, target, substeps: int, q=None, **options) -> np.ndarray:
+    """Joint positions of the same in C MuJoCo."""
+    model, data = mujoco_arm.compiled(arm, dt=DT / substeps, **options)
+    data.qpos[:6] = arm.home if q is None else q
+    out = []
+    for k in range(round(seconds / DT)):
+        data.ctrl[:] = target(k * DT)
+        mujoco.mj_step(model, data, substeps)
+        out.append(data.qpos.copy())
+    return np.array(out)
+
+
+# ---- the arm alone ---------------------------------------------------------------------------------------------------
+
+
+def sines(t: float) -> np.ndarray:
+    """Joint speeds within all limits [rad/s], zero at first."""
+    return 0.5 * np.sin(2 * np.pi * np.array([0.5, 0.7, 0.9, 1.1, 1.3, 1.5]) * t)
+
+
+def test_a_free_arm_moves_as_mujocos():
+    """Drive all joints along sines: q is converged MuJoCo's to 1e-3 rad at 1/240 s, and nearer by half at half the step.
+
+    First order: the error halves with the step, until float32 and MuJoCo's own dry friction (a constraint with a time
+    constant of 2 ms) are left, about 2e-5 rad.
+    """
+    arm = jaco2()
+    coarse, fine = (mujoco_drive(arm, 0.5, sines, n) for n in (16, 32))
+    truth = 2.0 * fine - coarse
+    error = [
+        np.abs(drive(simulator([FAR], arm, q=arm.home, dt=DT / n), 0.5, sines, substeps=n) - truth).max()
+        for n in (1, 2, 4)
+    ]
+    assert error[0] < 1e-3
+    assert error[1] < 0.65 * error[0] + 2e-5
+    assert error[2] < 0.65 * error[1] + 2e-5
+
+
+def test_a_servo_carries_the_weight_and_stays():
+    """Ask for no motion for 2 s at random poses: the arm does not move, its torques are those that gravity needs."""
+    q = np.random.default_rng(0).uniform(0.9, 5.0, (8, 6))
+    sim = simulator([FAR] * 8, q=q)
+    drive(sim, 2.0, lambda t: np.zeros((8, 6)))
+    np.testing.assert_allclose(sim.q.numpy(), q, atol=2e-5)
+    model, data = mujoco_arm.compiled(jaco2(), servo=False)
+    for w in range(8):
+        data.qpos[:] = q[w]
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(sim.torque[w].numpy(), data.qfrc_bias, atol=2e-4)
+
+
+def test_a_joint_comes_to_rest_at_its_stop():
+    """Drive joints 2 and 3 against both stops: they end there to 1e-3 rad, were never beyond by more, and stay."""
+    arm = jaco2()
+    for sign, limit in ((1.0, arm.upper), (-1.0, arm.lower)):
+        speeds = np.array([0.0, sign, sign, 0.0, 0.0, 0.0])
+        q = drive(simulator([FAR], arm, q=arm.home), 9.0, lambda t, v=speeds: v)[:, 1:3]
+        np.testing.assert_allclose(q[-1], limit[1:3], atol=1e-3)
+        assert (sign * (q - limit[1:3])).max() < 1e-3
+
+
+def test_speeds_keep_their_limits():
+    """Ask for 10 rad/s: every joint turns at its speed limit, to 1 %."""
+    arm = free_arm()
+    sim = simulator([FAR], arm, q=arm.home)
+    drive(sim, 1.0, lambda t: np.full(6, 10.0))
+    np.testing.assert_allclose(sim.qd[0].numpy(), jaco2().velocity_limit, rtol=0.01)
+
+
+def test_an_arm_too_weak_sags_as_mujocos():
+    """Let an arm with 4 N m a joint try to rise from `STRETCHED`: it falls, as in MuJoCo, to 3 mrad in 0.4 s.
+
+    MuJoCo clips the torque of the step before, so it is taken at 1/15360 s.
+    """
+    arm = replace(free_arm(torque_limit=4.0), name="weak")
+
+    def up(t):
+        return np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
+
+    sim = simulator([FAR], arm, dt=DT / 4)
+    ours = drive(sim, 0.4, up, substeps=4)
+    theirs = mujoco_drive(arm, 0.4, up, 64, q=STRETCHED)
+    assert np.abs(theirs[-1] - STRETCHED).max() > 0.1
+    np.testing.assert_allclose(ours, theirs, atol=3e-3)
+    assert (np.abs(sim.torque[0].numpy()) <= 4.0).all()
+
+
+# ---- pushes ------------------------------------------------------------------------------------------------------------
+
+
+def pushed_posts(count: int, seed: int = 1):
+    """Return posts beside links 2 to 6 of differently bent arms: (trees, q [count, 6], arm), in the way of joint 1."""
+    rng, arm = np.random.default_rng(seed), free_arm(friction=0.0)
+    link = np.r_[-1, arm.tree.shape_link]
+    radius = np.r_[arm.base_radius, arm.tree.shape_radius.mean(axis=1)]
+    trees, poses = [], []
+    for i in range(count):
+        q, c = STRETCHED + rng.uniform(-0.5, 0.5, 6), (2, 3, 4, 3, 2, 3)[i % 6]
+        start, end = arm_capsules(arm, q)
+        u = (end[c] - start[c]) / np.linalg.norm(end[c] - start[c])
+        middle = start[c] + rng.uniform(0.4, 0.8) * (end[c] - start[c])
+        way = point_jacobian(arm, q, int(link[c]), middle)[:, 0]
+        way -= u * (way @ u)
+        way /= np.linalg.norm(way)
+        lean = np.cross(u, way) * np.cos(0.4) + rng.uniform(-0.3, 0.3) * u
+        lean = lean * np.sign(lean[2]) / np.linalg.norm(lean)
+        at = middle + way * (radius[c] + 0.014) - 0.3 * lean
+        trees.append(post(at, direction=lean, stiffness=(30.0, 100.0, 300.0)[i % 3], length=0.5, mass=0.1, damping=10.0))
+        poses.append(q)
+    return trees, np.array(poses), arm
+
+
+def test_a_push_settles_at_the_force_of_the_spring():
+    """Push sprung posts in twelve directions with 12 N m at joint 1: moments about the post's joint balance within 2 %.
+
+    With phi the rotation vector of the post's ball joint, K phi = r x f; and the servos hold tau = J^T f, J from the
+    host's kinematics in float64. Without gravity. Every sum of forces equals what acts on the arm, with the other sign.
+    """
+    trees, q, arm = pushed_posts(12)
+    sim = simulator(trees, arm, q=q, gravity=(0.0, 0.0, 0.0))
+    drive(sim, 8.0, lambda t: [0.15, 0, 0, 0, 0, 0])
+    pushed = 0
+    for w, tree in enumerate(trees):
+        found = [c for c in contacts_of(sim, w) if c["acted"].any()]
+        pushed += bool(found)
+        if not found:
+            continue
+        frame = Rotation.from_quat(np.roll(tree.rotation[0], -1))
+        turn = frame.apply(Rotation.from_quat(np.roll(sim.state.qpos()[w], -1)).as_rotvec())
+        moment = sum(np.cross(c["point"] - tree.position[0], c["acted"]) for c in found)
+        assert np.linalg.norm(moment) > 1.0
+        assert np.linalg.norm(moment - tree.stiffness[0] * turn) < 0.02 * np.linalg.norm(moment)
+        now = sim.q[w].numpy().astype(float)
+        needed = sum(point_jacobian(arm, now, int(c["body"]), c["point"]).T @ c["acted"] for c in found)
+        # what still creeps: the servo's joints turn by some mrad/s, and 80 N m s/rad of each is in the torque
+        np.testing.assert_allclose(sim.torque[w].numpy(), needed, atol=0.02 * np.abs(needed).max())
+    assert pushed >= 10
+
+
+def test_80_newton_indent_by_at_most_a_millimetre_and_a_half():
+    """Push a stiff post at the default step and stiffness: at rest and at every moment before, 1.5 mm a 80 N.
+
+    The arm comes at its greatest speed, so that the push includes the blow.
+    """
+    trees, q, arm = pushed_posts(6)
+    trees = [t.with_(stiffness=[3000.0], damping=[30.0]) for t in trees]
+    sim = simulator(trees, arm, q=q)
+    seen = drive(sim, 2.0, lambda t: [0.6, 0, 0, 0, 0, 0], lambda s: (s.depth.numpy().copy(), s.branch_force[:, 0].norm(dim=1).numpy().copy()))  # fmt: skip
+    depth, force = seen[:, 0], seen[:, 1]
+    assert (force.max(axis=0) > 80.0).sum() >= 4
+    assert (depth[-1] <= 1.5e-3 * force[-1] / 80.0 + 1e-6).all()
+    assert depth[force < 80.0].max() < 1.5e-3
+
+
+def test_forces_on_arm_and_branches_are_equal_and_opposite():
+    """Sum the forces of all contacts in a busy scene: on links and on capsules they cancel to round-off of the sums."""
+    tree = ternary(np.random.default_rng(3))
+    sim = simulator([tree], replace(jaco2(), velocity_limit=np.full(6, 2.0)), q=SWEEP, contacts={"capacity": 64})
+    most = 0
+
+    def read(sim):
+        nonlocal most
+        found = contacts_of(sim)
+        most = max(most, int((np.abs(found["acted"]).sum(axis=1) > 0).sum()))
+        for name, count in (("arm", 6), ("branch", tree.num_links)):
+            sums = np.zeros((count, 3))
+            for c in found:
+                if name == "arm" and c["body"] >= 0:
+                    sums[c["body"]] -= c["acted"]
+                elif name == "branch":
+                    sums[c["capsule"]] += c["acted"]
+            have = (sim.arm_force if name == "arm" else sim.branch_force)[0].numpy()
+            np.testing.assert_allclose(have, sums, atol=1e-6 * max(np.abs(sums).max(), 1.0))
+        return 0
+
+    drive(sim, 1.0, sweep, read)
+    assert most >= 3
+
+
+# ---- friction ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("surface", ["ground", "line", "arm"])
+def test_a_body_on_an_incline_slips_at_the_angle_of_friction(surface):
+    """Tilt gravity by 25 degrees: a body on two free slides stays where mu > tan 25 degrees and slips where it is less.
+
+    One world for each mu, 2 % above and below and further away. Where it sticks it creeps at most at the speed that
+    friction grows up to (2 mm/s), where it slips it gains g (sin a - mu cos a), within 2 % of g sin a.
+    """
+    a, g = np.radians(25.0), 9.81
+    mu = np.tan(a) * np.array([0.5, 0.8, 0.98, 1.02, 1.2, 2.0])
+    top = {"ground": 0.0, "line": 0.61, "arm": 0.0}[surface]
+    arm, q = replace(free_arm(friction=0.0), gain=np.full(6, 1e6)), STRETCHED
+    contacts = {"ground": 0.0} if surface == "ground" else {}
+    at = np.array([5.0, 0.0, top + 0.0101])
+    gravity = g * np.array([np.sin(a), 0.0, -np.cos(a)])
+    if surface == "arm":
+        q = LEVEL
+        start, end = arm_capsules(arm, q)
+        u = (end[2] - start[2]) / np.linalg.norm(end[2] - start[2])
+        assert abs(u[2]) < 1e-3 and abs(abs(u[0]) - 1) < 1e-3  # the upper arm lies along x
+        at = start[2] + (end[2] - start[2]) * 0.5 + np.array([0.0, 0.0, 0.0421])
+    sim = simulator([slider(at)] * 6, arm, q=q, contacts=contacts, gravity=gravity)
+    sim.friction.copy_(torch.as_tensor(mu))
+    if surface == "line":
+        sim.line_start.copy_(torch.tensor([3.0, 0.0, 0.6]))
+        sim.line_end.copy_(torch.tensor([7.0, 0.0, 0.6]))
+        sim.line_mask.fill_(1)
+    seen = drive(sim, 0.4, lambda t: np.zeros(6), lambda s: np.array([v[1] for v in s.state.qvel()]))
+    gained = (seen[-1] - seen[11]) / (DT * (len(seen) - 12))
+    slips = mu < np.tan(a)
+    expected = g * (np.sin(a) - mu * np.cos(a))
+    np.testing.assert_allclose(gained[slips], expected[slips], atol=0.02 * g * np.sin(a))
+    assert (np.abs(seen[-1][~slips]) <= 2.05e-3).all()
+    assert (seen[-1][slips] > 0.02).all()
+
+
+# ---- energy ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_thrown_arm_never_gains_energy_from_branches():
+    """Throw an arm without servo and friction into trees at rest: kinetic and spring energy never exceed what was there.
+
+    Without gravity; energy of the branches is the simulator's own (tested elsewhere), that of the arm from MuJoCo's
+    joint-space inertia. What the same arm's energy drifts by when nothing is in the way, from its velocity products at
+    first order, is allowed for: 1 %.
+    """
+    arm = free_arm(gain=0.0, friction=0.0, velocity_limit=100.0)
+    rng, worlds = np.random.default_rng(4), 12
+    trees = [ternary(rng) for _ in range(worlds)]
+    sim = simulator(trees, arm, q=SWEEP, gravity=(0.0, 0.0, 0.0), substeps=2, contacts={"capacity": 64})
+    sim.qd.copy_(torch.as_tensor(rng.uniform(-1.0, 1.0, (worlds, 6)) + np.array([2.0, 0, 0, 0, 0, 0])))
+    model, data = mujoco_arm.compiled(arm, servo=False, gravity=0.0)
+    start = total_energy(sim, model, data)
+    touched, most = np.zeros(worlds), start.copy()
+    for _ in range(120):
+        sim.step()
+        touched = np.maximum(touched, sim.arm_force.norm(dim=2).sum(dim=1).numpy())
+        now = total_energy(sim, model, data)
+        assert (now <= 1.01 * start).all()
+        most = now
+    assert (touched > 1.0).sum() >= 10
+    assert (most < 0.9 * start).sum() >= 8
+    assert sim.faults() == []
+
+
+def total_energy(sim, model, data) -> np.ndarray:
+    """Kinetic energy of arm and branches and energy of their springs [J], [worlds]."""
+    energy, _ = sim.energy()
+    out, M = energy[:, 0] + energy[:, 2], np.zeros((6, 6))
+    for w in range(len(out)):
+        data.qpos[:] = sim.q[w].numpy()
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, M)
+        v = sim.qd[w].numpy().astype(float)
+        out[w] += 0.5 * v @ M @ v
+    return out
+
+
+# ---- the sweep ---------------------------------------------------------------------------------------------------------
+
+#: Where the sweep starts: beside the tree, and what its servo is asked for [rad/s]: a tip speed of 1.5 m/s.
+SWEEP = STRETCHED + np.array([-0.6, 0, 0, 0, 0, 0])
+#: Upper arm level along x.
+LEVEL = np.deg2rad([0.0, 270.0, 180.0, 0.0, 180.0, 180.0])
+
+
+def sweep(t: float) -> np.ndarray:
+    return np.array([1.6 * min(1.0, t / 0.1), 0, 0, 0, 0, 0])
