@@ -42,6 +42,8 @@ SLACK = wp.constant(0.005)
 #: Speed at which deep overlaps come apart [m/s]: damping grows with the depth, so that worlds that start with overlaps
 #: do not burst, while the force of what is held grows on and no arm is strong enough to push through.
 EXIT = wp.constant(2.0)
+#: Share by which the damper of what sticks may miss before the solve is repeated.
+STUCK = wp.constant(0.1)
 #: Forces below this are not worth a repetition [N].
 FEEBLE = wp.constant(0.02)
 
@@ -235,7 +237,11 @@ def judge(c: Contact, rule: ContactRule, mu: float, relative: wp.vec3, h: float)
                 changed = 1
             if slip > rule.creep * (1.0 + SLACK) and drag < edge * (1.0 - SLACK) - FEEBLE:
                 changed = 1
-            c.damper = edge / wp.max(slip, rule.creep)
+            wanted = edge / wp.max(slip, rule.creep)
+            if slip <= rule.creep and drag > FEEBLE:
+                if wp.abs(c.damper - wanted) > STUCK * wanted:
+                    changed = 1
+            c.damper = wanted
     elif c.gap + h * rate < -1.0e-6:
         c.active = 1
         changed = 1

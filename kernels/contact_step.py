@@ -42,7 +42,7 @@ def contact_step_kernel(width: int, dof: int) -> Any:
     def set_out(
         w: int, row: int, lane_: int, a: Arm, y: ArmState, k: ArmWork, rule: ContactRule, touch: Touch, h: float
     ):
-        """Place the arm, find what it touches beside branches, and its velocity if no branch touched it."""
+        """Place the arm and find what it touches beside branches."""
         place_arm(w, a, y.q, k)
         arm_dynamics(w, a, y, k)
         rule.count[w] = 0
@@ -63,7 +63,7 @@ def contact_step_kernel(width: int, dof: int) -> Any:
             c.impedance = impedance(c, rule, h)
             c.drive = spring(c, rule)
             rule.record[w, n] = c
-        solve_arm(w, a, y, k, rule.record, rule.count[w], h)
+        k.velocity[w] = now
 
     @wp.func
     def press(w: int, row: int, lane_: int, k: ArmWork, rule: ContactRule, touch: Touch, h: float):
@@ -191,6 +191,7 @@ def contact_step_kernel(width: int, dof: int) -> Any:
                     todo = wp.max(todo, rule.count[w])
                     k_out.settled[w] = wp.where(rule.count[w] > 0, 0, 1)
                     k_out.settled[w] = wp.where(rule.count[w] == 0, 1, 0)
+                    solve_arm(w, a, y_in_out, k_out, rule.record, rule.count[w], dt)
             left = wp.where(todo > 0, rule.repeats, 1)
             while left > 0:
                 left = left - 1

@@ -18,7 +18,7 @@ from ..kernels.point_cloud import NUM_CLOUDS, Shapes, cloud_types, sample_kernel
 from ..sim import arrays
 from ..sim.errors import InputError
 from ..sim.host import num_threads, simd_width
-from ..sim.launcher import _together
+from ..sim.launcher import together
 from .frequencies import draw_frequencies
 
 #: First columns of what `Sensor.update` writes, in the 88 numbers of the thesis's table 5.1.
@@ -264,7 +264,7 @@ class Sensor:
         """Return a function that launches all kernels; on a CPU each thread takes a run of worlds through all."""
         cuts = np.linspace(0, self.num_worlds, (self.threads if split else 1) + 1).astype(int).tolist()
         runs = [_Run(self.commands(a, b - a)) for a, b in pairwise(cuts)]
-        return runs[0].launch if len(runs) == 1 else lambda: _together(runs)
+        return runs[0].launch if len(runs) == 1 else lambda: together(runs)
 
     def commands(self, first: int, count: int) -> list[Any]:
         """Return the recorded launches for ``count`` worlds from ``first``, after `bind`.

@@ -38,7 +38,7 @@ def cull(tree: Tree, base_position: Sequence[float], reach: float, *, lump: bool
     for i in reversed(range(tree.num_links)):
         if keep[i] and tree.parent[i] >= 0:
             keep[tree.parent[i]] = True
-    return _subset(_lumped(tree, keep) if lump else tree, keep)
+    return keep_links(tree, keep) if lump else _subset(tree, keep)
 
 
 def link_distance(tree: Tree, point: Sequence[float]) -> Array:
@@ -57,6 +57,14 @@ def link_distance(tree: Tree, point: Sequence[float]) -> Array:
     out = np.full(tree.num_links, np.inf)
     np.minimum.at(out, link, np.maximum(surface, 0.0))
     return out
+
+
+def keep_links(tree: Tree, keep: np.ndarray) -> Tree:
+    """Return the tree without the links that ``keep`` (bool, [L]) leaves out; their mass goes to what carries them.
+
+    A link may only be left out with everything that it carries.
+    """
+    return _subset(_lumped(tree, keep), keep)
 
 
 def _lumped(tree: Tree, keep: np.ndarray) -> Tree:

@@ -99,10 +99,10 @@ class Launcher:
         ]
         if threads == 1:
             return commands[0].launch
-        return lambda: _together(commands)
+        return lambda: together(commands)
 
 
-def _together(commands: Sequence[Any]) -> None:
+def together(commands: Sequence[Any]) -> None:
     waiting = [_pool().submit(c.launch) for c in commands[1:]]
     commands[0].launch()
     for future in waiting:

@@ -21,7 +21,7 @@ from ..kernels import scene as kernels
 from .arm import Arm, forward_kinematics
 from .arm_arrays import arm_capsules
 from .arm_simulator import ArmSimulator
-from .cull import _lumped, _subset
+from .cull import keep_links
 from .errors import InputError
 from .export_mesh import shape_ends
 from .pose import rest_pose
@@ -211,7 +211,7 @@ def _culled(tree: Tree, settings: SceneSettings, shoulder: float, reach: float) 
         if keep.sum() <= settings.most_links:
             break
         keep = _carried_and(tree, away < min(bound, reach))
-    return _subset(_lumped(tree, keep), keep)
+    return keep_links(tree, keep)
 
 
 def _carried_and(tree: Tree, shapes: np.ndarray) -> np.ndarray:

@@ -122,14 +122,14 @@ def test_commands_of_the_pages_exist():
     helps: dict[str, str] = {}
     for page in [*PAGES, ROOT / "Makefile"]:
         for command, rest in re.findall(
-            r"bough (info|forest|simulate|identify|hide)\b([^`\n]*(?:\n {4,}\S[^`\n]*)*)", page.read_text()
+            r"bough (info|forest|simulate|identify|hide|diagnose|exam|train|evaluate|play)\b([^`\n]*(?:\n {4,}\S[^`\n]*)*)", page.read_text()
         ):
             if command not in helps:
                 run = [sys.executable, "-m", "bough", command, "--help"]
                 helps[command] = subprocess.run(run, check=True, capture_output=True, text=True).stdout
             for option in re.findall(r"--[a-z-]+", rest):
                 assert option in helps[command], f"{name_of(page)}: bough {command} has no {option}"
-    assert set(helps) == {"info", "forest", "simulate", "identify", "hide"}
+    assert {"info", "forest", "simulate", "identify", "hide", "diagnose", "train", "evaluate", "play"} <= set(helps)
 
 
 @pytest.mark.parametrize("block", EXAMPLES)

@@ -188,12 +188,11 @@ class Powerline(VecEnv):
         self.done.fill_(False)
 
     def _restart(self) -> None:
-        """Place the worlds that are done anew, and put them at rest."""
+        """Place the worlds that are done anew and put them at rest; capsules of all worlds are then where they are."""
         self.scene.place(self._warp["done"], self._counters.episode)
         self.simulator.reset(self.done)
 
     def _sense(self) -> None:
-        self.simulator.look()
         self.sensor.update()
         y = self._arm
         self._launch(kernels.feel, y.q, y.qd, y.end_rotation, y.force, self._rules, self._counters, self._first,

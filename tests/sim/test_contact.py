@@ -124,7 +124,7 @@ def test_an_arm_too_weak_sags_as_mujocos():
 
     MuJoCo clips the torque of the step before, so it is taken at 1/15360 s.
     """
-    arm = replace(free_arm(torque_limit=4.0), name="weak")
+    arm = replace(free_arm(torque_limit=4.0, velocity_limit=10.0), name="weak")
 
     def up(t):
         return np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
@@ -170,7 +170,7 @@ def test_a_push_settles_at_the_force_of_the_spring():
     """
     trees, q, arm = pushed_posts(12)
     sim = simulator(trees, arm, q=q, gravity=(0.0, 0.0, 0.0))
-    drive(sim, 8.0, lambda t: [0.15, 0, 0, 0, 0, 0])
+    drive(sim, 14.0, lambda t: [0.15, 0, 0, 0, 0, 0])
     pushed = 0
     for w, tree in enumerate(trees):
         found = [c for c in contacts_of(sim, w) if c["acted"].any()]
@@ -207,7 +207,7 @@ def test_80_newton_indent_by_at_most_a_millimetre_and_a_half():
 def test_forces_on_arm_and_branches_are_equal_and_opposite():
     """Sum the forces of all contacts in a busy scene: on links and on capsules they cancel to round-off of the sums."""
     tree = ternary(np.random.default_rng(3))
-    sim = simulator([tree], replace(jaco2(), velocity_limit=np.full(6, 2.0)), q=SWEEP, contacts={"capacity": 64})
+    sim = simulator([tree], FAST, q=SWEEP, contacts={"capacity": 64})
     most = 0
 
     def read(sim):
@@ -273,26 +273,26 @@ def test_a_body_on_an_incline_slips_at_the_angle_of_friction(surface):
 def test_a_thrown_arm_never_gains_energy_from_branches():
     """Throw an arm without servo and friction into trees at rest: kinetic and spring energy never exceed what was there.
 
-    Without gravity; energy of the branches is the simulator's own (tested elsewhere), that of the arm from MuJoCo's
-    joint-space inertia. What the same arm's energy drifts by when nothing is in the way, from its velocity products at
-    first order, is allowed for: 1 %.
+    Without gravity, branches undamped by contact; energy of the branches is the simulator's own (tested elsewhere),
+    that of the arm from MuJoCo's joint-space inertia. 0.5 % is allowed for the arm's velocity products, explicit in a
+    step: the same arms with nothing in the way gain 0.2 %.
     """
     arm = free_arm(gain=0.0, friction=0.0, velocity_limit=100.0)
     rng, worlds = np.random.default_rng(4), 12
     trees = [ternary(rng) for _ in range(worlds)]
-    sim = simulator(trees, arm, q=SWEEP, gravity=(0.0, 0.0, 0.0), substeps=2, contacts={"capacity": 64})
-    sim.qd.copy_(torch.as_tensor(rng.uniform(-1.0, 1.0, (worlds, 6)) + np.array([2.0, 0, 0, 0, 0, 0])))
+    sim = simulator(trees, arm, q=SWEEP, gravity=(0.0, 0.0, 0.0), substeps=4,
+                    contacts={"capacity": 64, "damping": 0.0})  # fmt: skip
+    sim.qd.copy_(torch.as_tensor(rng.uniform(-0.2, 0.2, (worlds, 6)) + np.array([2.0, 0, 0, 0, 0, 0])))
     model, data = mujoco_arm.compiled(arm, servo=False, gravity=0.0)
     start = total_energy(sim, model, data)
-    touched, most = np.zeros(worlds), start.copy()
-    for _ in range(120):
+    touched = np.zeros(worlds)
+    for _ in range(160):
         sim.step()
         touched = np.maximum(touched, sim.arm_force.norm(dim=2).sum(dim=1).numpy())
         now = total_energy(sim, model, data)
-        assert (now <= 1.01 * start).all()
-        most = now
+        assert (now <= 1.005 * start).all()
     assert (touched > 1.0).sum() >= 10
-    assert (most < 0.9 * start).sum() >= 8
+    assert (now < 0.9 * start).sum() >= 10
     assert sim.faults() == []
 
 
@@ -313,9 +313,77 @@ def total_energy(sim, model, data) -> np.ndarray:
 
 #: Where the sweep starts: beside the tree, and what its servo is asked for [rad/s]: a tip speed of 1.5 m/s.
 SWEEP = STRETCHED + np.array([-0.6, 0, 0, 0, 0, 0])
+FAST = replace(jaco2(), velocity_limit=np.full(6, 2.0))
 #: Upper arm level along x.
 LEVEL = np.deg2rad([0.0, 270.0, 180.0, 0.0, 180.0, 180.0])
 
 
 def sweep(t: float) -> np.ndarray:
     return np.array([1.6 * min(1.0, t / 0.1), 0, 0, 0, 0, 0])
+
+
+def swept(seed: int) -> tuple[np.ndarray, list, float, float]:
+    """Sweep through a tree of 40 links at the default step.
+
+    Returns net force on the arm [steps, 3], the contacts that acted in every step, greatest depth [m] and tip speed.
+    """
+    tree = ternary(np.random.default_rng(seed))
+    sim = simulator([tree], FAST, q=SWEEP, contacts={"capacity": 64})
+
+    def read(sim):
+        found = contacts_of(sim)
+        found = found[np.abs(found["acted"]).sum(axis=1) > 0]
+        order = np.lexsort((found["gap"], found["body"], found["capsule"]))
+        tip = np.linalg.norm(point_jacobian(FAST, sim.q[0].numpy().astype(float), 5, sim.end_position[0].numpy())
+                             @ sim.qd[0].numpy())  # fmt: skip
+        return sim.arm_force[0].sum(dim=0).numpy().copy(), found[order].copy(), float(sim.depth[0]), float(tip)
+
+    out = []
+    for k in range(240):
+        sim.target[0] = torch.as_tensor(sweep(k * DT))
+        sim.step()
+        out.append(read(sim))
+    assert sim.faults() == []
+    assert int(sim.overflow.sum()) == 0
+    force, found, depth, tip = zip(*out, strict=True)
+    return np.array(force), list(found), max(depth), max(tip)
+
+
+def mujoco_swept(seed: int, substeps: int, time_constant: float) -> np.ndarray:
+    """Net force on the arm [steps, 3] in C MuJoCo, averaged over the substeps of every 1/240 s."""
+    tree = ternary(np.random.default_rng(seed))
+    model, data = mujoco_arm.compiled(FAST, tree, dt=DT / substeps, time_constant=time_constant)
+    data.qpos[:6] = SWEEP
+    out = np.zeros((240, 3))
+    for k in range(240):
+        data.ctrl[:] = sweep(k * DT)
+        for _ in range(substeps):
+            mujoco.mj_step(model, data)
+            out[k] -= mujoco_arm.contact_forces(model, data)[0] / substeps
+    return out
+
+
+def test_a_sweep_through_a_tree_is_smooth_and_has_mujocos_force():
+    """Sweep through 40-link trees, tip at 1.4 to 1.5 m/s: mean force within 10 % of converged MuJoCo, roughness 2 %.
+
+    The mean is that of the net force's norm over the sweep, six trees together, MuJoCo at 1/1920 s with a time constant
+    of its contacts of 5 ms. Roughness (`oracles.contact_case.roughness`) counts where contacts last: same pairs since
+    three steps, normals turning by less than 0.03 rad a step; blows and edges are no noise.
+    """
+    ours, theirs, noise, level, weights = [], [], [], [], []
+    for seed in range(6):
+        force, found, depth, tip = swept(seed)
+        assert 1.3 < tip < 1.6
+        assert depth < 1.5e-3
+        size = np.linalg.norm(force, axis=1)
+        ours.append(size.mean())
+        theirs.append(np.linalg.norm(mujoco_swept(seed, 8, 0.005), axis=1).mean())
+        rough, mean, count = roughness(size, found)
+        noise.append(rough)
+        level.append(mean)
+        weights.append(count)
+    assert min(weights) >= 20
+    assert 10.0 < np.average(level, weights=weights) < 60.0
+    assert abs(np.mean(ours) / np.mean(theirs) - 1.0) < 0.1
+    print(ours, theirs, noise, level, weights)
+    assert np.sqrt(np.average(np.square(noise), weights=weights)) < 0.02
