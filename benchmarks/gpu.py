@@ -50,7 +50,6 @@ def load_bough() -> SimpleNamespace:
 bough = load_bough()
 import gpu_arm  # noqa: E402  (beside this file; it needs bough)
 
-
 # ---- trees -------------------------------------------------------------------------------------------------------
 
 

@@ -117,7 +117,7 @@ def measure_embedding(device: str, quick: bool) -> dict[str, Any]:
             "ok": True}  # fmt: skip
 
 
-class TimeUp(Exception):
+class TimeUpError(Exception):
     """The time for training is over."""
 
 
@@ -138,10 +138,10 @@ def measure_training(device: str, quick: bool, seconds: float, out: Path) -> dic
         nonlocal done
         done += iterations
         if time.perf_counter() > end and done % ppo.checkpoint_every == 0:
-            raise TimeUp
+            raise TimeUpError
 
     begun = time.perf_counter()
-    with contextlib.suppress(TimeUp):
+    with contextlib.suppress(TimeUpError):
         train(plan, out, registry, progress=watch)
     took = time.perf_counter() - begun
     rows = evaluate(out, registry, sets=1 if quick else 3, worlds=8 if quick else 512, device=device,

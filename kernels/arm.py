@@ -1,7 +1,7 @@
 """A serial arm of revolute joints under velocity control, one scalar solve a world.
 
-All spatial quantities are about the world's origin, in world axes. With S_j = (z_j, s_j), s_j = p_j x z_j, for a joint at
-p_j with axis z_j, the joint-space inertia is (composite rigid bodies; Featherstone, Rigid Body Dynamics Algorithms,
+All spatial quantities are about the world's origin, in world axes. With S_j = (z_j, s_j), s_j = p_j x z_j, for a joint
+at p_j with axis z_j, the joint-space inertia is (composite rigid bodies; Featherstone, Rigid Body Dynamics Algorithms,
 2008, section 6.2)
 
     M_ij = S_i . I_j^c S_j   (i <= j),   I^c the inertia of the links from j outward
@@ -134,7 +134,10 @@ def inertia_about_origin(mass: float, c: wp.vec3, about_com: wp.mat33):
 
 @wp.func
 def velocity_forces(w: int, a: Any, x: Any, k: Any):
-    """Forces that velocity products need, link by link: f = m ao + aw x mc + w x P,  n = I aw + mc x ao + w x H + vo x P."""
+    """Forces that velocity products need, link by link.
+
+    f = m ao + aw x mc + w x P,  n = I aw + mc x ao + w x H + vo x P
+    """
     spin = wp.vec3(0.0, 0.0, 0.0)
     slide = wp.vec3(0.0, 0.0, 0.0)
     turning = wp.vec3(0.0, 0.0, 0.0)

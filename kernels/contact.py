@@ -38,12 +38,12 @@ LINE = wp.constant(-1)
 GROUND = wp.constant(-2)
 BASE = wp.constant(-3)
 #: Share by which friction may miss its cone before the solve is repeated, and of a force by which the arm may.
-SLACK = wp.constant(0.005)
+SLACK = wp.constant(0.015)
 #: Speed at which deep overlaps come apart [m/s]: damping grows with the depth, so that worlds that start with overlaps
 #: do not burst, while the force of what is held grows on and no arm is strong enough to push through.
 EXIT = wp.constant(2.0)
 #: Share by which the damper of what sticks may miss before the solve is repeated.
-STUCK = wp.constant(0.1)
+STUCK = wp.constant(0.25)
 #: Forces below this are not worth a repetition [N].
 FEEBLE = wp.constant(0.02)
 
@@ -53,7 +53,7 @@ class Contact:
     """One contact. ``link`` is the branch's place in the kernel arrays, 0 where the arm touches something else.
 
     ``body`` is the arm's link, or LINE, GROUND or BASE; ``other`` a second link of the arm, or -1. The normal points to
-    the branch, or to the arm's link where no branch is involved.
+    the branch, or to the arm's link where no branch is involved. ``damper``, ``tried`` and ``gave`` belong to `hasten`.
     """
 
     link: int
@@ -61,8 +61,11 @@ class Contact:
     body: int
     other: int
     active: int
+    rounds: int
     gap: float
     damper: float
+    tried: float
+    gave: float
     point: wp.vec3
     normal: wp.vec3
     lever: wp.vec3
@@ -216,6 +219,29 @@ def stiffen(c: Contact, rule: ContactRule, v_a: wp.vec3, share: float, h: float)
 
 
 @wp.func
+def hasten(c: Contact, wanted: float):
+    """Set the next damper: a secant step of its logarithm from the last two (Aitken), plain repetition at first.
+
+    Where friction nearly holds, what is wanted follows what was tried almost one to one, or overshoots it.
+    """
+    tried = wp.log(wp.max(c.damper, 1.0e-3))
+    gave = wp.log(wp.max(wanted, 1.0e-3))
+    slope = float(0.0)
+    most = float(3.0)
+    if c.damper == 0.0:
+        most = 30.0
+    elif c.rounds > 0:
+        moved = tried - c.tried
+        if wp.abs(moved) > 1.0e-4:
+            slope = wp.clamp((gave - c.gave) / moved, -2.0, 0.9)
+    c.rounds = c.rounds + 1
+    c.tried = tried
+    c.gave = gave
+    c.damper = wp.exp(tried + wp.clamp((gave - tried) / (1.0 - slope), 0.0 - most, most))
+    return c
+
+
+@wp.func
 def judge(c: Contact, rule: ContactRule, mu: float, relative: wp.vec3, h: float):
     """Correct whether a contact acts and how friction damps from the force and the velocity that came out.
 
@@ -227,7 +253,10 @@ def judge(c: Contact, rule: ContactRule, mu: float, relative: wp.vec3, h: float)
     slip = wp.length(relative - rate * c.normal)
     if c.active == 1:
         if push < 0.0:
+            # should it act again, it does so without friction first: too strong a damper may be what pulled
             c.active = 0
+            c.damper = 0.0
+            c.rounds = 0
             c.force = wp.vec3(0.0, 0.0, 0.0)
             changed = 1
         else:
@@ -235,13 +264,13 @@ def judge(c: Contact, rule: ContactRule, mu: float, relative: wp.vec3, h: float)
             edge = mu * push
             if drag > edge * (1.0 + SLACK) + FEEBLE * 0.1:
                 changed = 1
-            if slip > rule.creep * (1.0 + SLACK) and drag < edge * (1.0 - SLACK) - FEEBLE:
+            if slip > 2.0 * rule.creep and drag < edge * (1.0 - SLACK) - FEEBLE:
                 changed = 1
             wanted = edge / wp.max(slip, rule.creep)
             if slip <= rule.creep and drag > FEEBLE:
                 if wp.abs(c.damper - wanted) > STUCK * wanted:
                     changed = 1
-            c.damper = wanted
+            c = hasten(c, wanted)
     elif c.gap + h * rate < -1.0e-6:
         c.active = 1
         changed = 1

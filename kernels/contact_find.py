@@ -15,8 +15,7 @@ __all__ = ["find_arm_contacts", "find_branch_contacts", "note_arm"]
 
 @wp.func
 def note_arm(w: int, row: int, lane_: int, a: Any, k: Any, rule: ContactRule, touch: Any, speed: float):
-    """Write the middles of the arm's capsules, the line's start and direction, and the speed of the arm's fastest point
-    where the group's lanes read them."""
+    """Write down for the group's lanes where the arm's capsules and the line are, and how fast the arm may be."""
     n = a.shape_link.shape[0]
     for c in range(n):
         middle = 0.5 * (k.start[w, c] + k.end[w, c])

@@ -127,7 +127,7 @@ def contact_step_kernel(width: int, dof: int) -> Any:
                     relative = relative - v_a
                     if c.active == 1:
                         missed = c.impedance * (v_a - (c.still - h * (c.compliance * (c.force * c.share))))
-                        if wp.length(missed) > 0.01 * wp.length(c.force) + 0.05:
+                        if wp.length(missed) > 0.03 * wp.length(c.force) + 0.05:
                             changed = 1
             else:
                 relative = point_velocity(w, k, c.body, c.point, v)

@@ -16,7 +16,7 @@ FIBRES = wp.constant(0.02)
 
 @cache
 def rupture_kernels(width: int = 1) -> Any:
-    """Return ``rupture`` and ``heal`` for a lane width (float32). Links of a slot are by place; place 0 is the world."""
+    """Return ``rupture`` and ``heal`` for a lane width (float32). ``slot_link`` names the link at a slot's place."""
     State = layout_of(width, 32).State
 
     @wp.kernel(enable_backward=False, module="unique")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
+from numpy.typing import NDArray
 
 from ..kernels.arm import arm_types
 from ..kernels.contact import Contact, ContactRule, contact_types
@@ -75,7 +76,7 @@ class ArmArrays:
         return sum(a.size * wp.types.type_size_in_bytes(a.dtype) for a in self._keep)
 
     def _field(self, struct: Any, name: str, shape: Any, kind: Any) -> None:
-        array = wp.zeros(shape, dtype=kind, device=self.device)
+        array: wp.array = wp.zeros(shape, dtype=kind, device=self.device)
         self._keep.append(array)
         setattr(struct, name, array)
 
@@ -89,7 +90,8 @@ class ArmArrays:
         vectors["shape_start"] = np.concatenate([arm.base_start, tree.shape_start - anchor])
         vectors["shape_end"] = np.concatenate([arm.base_end, tree.shape_end - anchor])
         numbers = {
-            "mass": tree.mass, "armature": tree.armature, "damping": tree.damping, "gain": arm.gain, "friction": arm.friction,
+            "mass": tree.mass, "armature": tree.armature, "damping": tree.damping, "gain": arm.gain,
+            "friction": arm.friction,
             "torque_limit": arm.torque_limit, "speed_limit": arm.velocity_limit, "lower": arm.lower, "upper": arm.upper,
             "reach": _reach(vectors), "shape_radius": np.concatenate([arm.base_radius, tree.shape_radius.mean(axis=1)]),
         }  # fmt: skip
@@ -108,7 +110,7 @@ class ArmArrays:
         return out
 
     def _constant(self, struct: Any, name: str, value: Any, kind: Any) -> None:
-        array = wp.array(np.ascontiguousarray(value), dtype=kind, device=self.device)
+        array: wp.array = wp.array(np.ascontiguousarray(value), dtype=kind, device=self.device)
         self._keep.append(array)
         setattr(struct, name, array)
 
@@ -138,7 +140,7 @@ def arm_capsules(arm: Arm, q: Array) -> tuple[Array, Array]:
     return start, end
 
 
-def _pairs(arm: Arm, link: IntArray) -> IntArray:
+def _pairs(arm: Arm, link: IntArray) -> NDArray[np.int32]:
     """Capsules of links that may meet: neither of one link nor of neighbours, and apart in the home pose."""
     start, end = arm_capsules(arm, arm.home)
     radius = np.concatenate([arm.base_radius, arm.tree.shape_radius.mean(axis=1)])
@@ -223,7 +225,7 @@ class TouchArrays:
         bound = np.linalg.norm(end - start, axis=1) / 2 + radius
         return wp.array(bound.astype(np.float32), dtype=float, device=self.device)
 
-    # ---- capsules of the branches --------------------------------------------------------------------------------------
+    # ---- capsules of the branches ------------------------------------------------------------------------------------
 
     def _make_shapes(self) -> Any:
         m = self._model
@@ -292,7 +294,7 @@ class TouchArrays:
 
 
 def _numbered(tree: Tree) -> IntArray:
-    """Number of every capsule among those of its link."""
+    """Return every capsule's number among those of its link."""
     seen: dict[int, int] = {}
     out = []
     for link in tree.shape_link.tolist():

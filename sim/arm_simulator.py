@@ -11,15 +11,14 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..kernels.arm import arm_types
 from ..kernels.contact_look import capsule_kernel
 from ..kernels.contact_step import contact_step_kernel
 from ..kernels.reset_arm import reset_arm_kernel
 from .arm import Arm
 from .arm_arrays import ArmArrays, TouchArrays
-from .rupture import Rupture
 from .errors import InputError
 from .model import Model
+from .rupture import Rupture
 from .simulator import Simulator
 from .tree import Tree
 
@@ -102,7 +101,7 @@ class ArmSimulator(Simulator):
         arm_peak: Greatest norm of it since it was last set to zero [N], [worlds, dof]: the rupture measure.
         branch_force: Net contact force on every capsule of the branches [N], [worlds, B, 3].
         friction: Coefficient of friction, to be written in place, [worlds].
-        line_start, line_end: Ends of the power line's axis, to be written in place [m], [worlds, 3]. Far below at first.
+        line_start, line_end: Ends of the power line's axis, to be written [m], [worlds, 3]; far below at first.
         line_mask: 1 where branches touch the line, int32, to be written in place, [worlds].
         start_q: Joint positions that `reset` returns to, to be written in place [rad], [worlds, dof].
         overflow: Contacts that found no room since the start, int32 [worlds].
@@ -169,6 +168,7 @@ class ArmSimulator(Simulator):
         self.start_q: torch.Tensor = wp.to_torch(self._start_q)
         self.start_q.copy_(torch.tensor(arm.home, dtype=torch.float32))
         self._make_capsules()
+        self._outlining: dict[bool, Callable[[], None]] = {}
         self.rupture = Rupture(self) if breakable else None
         self.reset()
 
@@ -234,9 +234,9 @@ class ArmSimulator(Simulator):
     def look(self) -> None:
         """Write where all capsules are into `capsules`."""
         split = not self.model.device.is_capturing
-        if ("capsules", split) not in self._steps:
-            self._steps["capsules", split] = self._prepare_capsules(split=split)
-        self._steps["capsules", split]()
+        if split not in self._outlining:
+            self._outlining[split] = self._prepare_capsules(split=split)
+        self._outlining[split]()
 
     def _prepare_capsules(self, *, split: bool) -> Callable[[], None]:
         kernel = capsule_kernel(self.model.width, self.arm.num_dofs)
@@ -248,7 +248,7 @@ class ArmSimulator(Simulator):
         """Put the masked worlds (bool, [worlds]; None is all) back: branches to their start, the arm to `start_q`."""
         super().reset(mask)
         mask = self._everyone if mask is None else mask.to(self._everyone.device)
-        chosen = wp.from_torch(mask.contiguous(), dtype=wp.bool)
+        chosen: Any = wp.from_torch(mask.contiguous(), dtype=wp.bool)
         if self.rupture is not None:
             self.rupture.heal(chosen)
         kernel = reset_arm_kernel(self.arm.num_dofs)

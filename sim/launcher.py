@@ -103,6 +103,7 @@ class Launcher:
 
 
 def together(commands: Sequence[Any]) -> None:
+    """Launch recorded commands on threads of their own and wait for all of them."""
     waiting = [_pool().submit(c.launch) for c in commands[1:]]
     commands[0].launch()
     for future in waiting:

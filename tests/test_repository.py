@@ -120,10 +120,10 @@ def test_commands_of_the_pages_exist_in_the_makefile():
 def test_commands_of_the_pages_exist():
     """Find every ``bough`` command and option that a page names in the command's help."""
     helps: dict[str, str] = {}
+    names = "info|forest|simulate|identify|hide|diagnose|exam|train|evaluate|play"
     for page in [*PAGES, ROOT / "Makefile"]:
-        for command, rest in re.findall(
-            r"bough (info|forest|simulate|identify|hide|diagnose|exam|train|evaluate|play)\b([^`\n]*(?:\n {4,}\S[^`\n]*)*)", page.read_text()
-        ):
+        found = re.findall(rf"bough ({names})\b([^`\n]*(?:\n {{4,}}\S[^`\n]*)*)", page.read_text())
+        for command, rest in found:
             if command not in helps:
                 run = [sys.executable, "-m", "bough", command, "--help"]
                 helps[command] = subprocess.run(run, check=True, capture_output=True, text=True).stdout

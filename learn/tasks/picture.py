@@ -13,24 +13,30 @@ from ...sim.render import Mesh, Sunlight, View, develop, trace
 from ...sim.scene import Scene
 from ...sim.tree import Array
 
-WIDTH, HEIGHT, SAMPLES = 480, 360, 4
+WIDTH, HEIGHT, SAMPLES = 480, 360, 12
 ARM, LINE = (0.75, 0.75, 0.78), (0.70, 0.10, 0.08)
 """Colours of the arm and of the target, sRGB."""
 
-_EYE = 1.9  # distance of the camera from the middle [m]
+GROUND = (0.30, 0.31, 0.27)
+"""Colour of the ground, linear light."""
+
+_EYE = 2.3  # distance of the camera from the middle [m]
 
 
 def world_picture(sim: ArmSimulator, scene: Scene, world: int) -> NDArray[np.uint8]:
     """Return a picture of one world, seen from the side of the line that the arm is on, [height, width, 3]."""
-    start, end, radius, color = _solids(sim, scene, world)
+    start, end, radius, color = solids(sim, scene, world)
     used = radius > 0.0
     thick = np.repeat(radius[used, None], 2, axis=1)
     vertices, faces = capsules_mesh(start[used], end[used], thick, sides=10, cap_rings=3)
     colors = np.repeat(color[used], len(vertices) // int(used.sum()), axis=0)
     ground = min(0.0, float(_host(scene.root)[world, 2]))
     mesh = Mesh(vertices, faces, colors, np.zeros(len(vertices)), ground, 1.0)
-    radiance = trace(mesh, _view(sim, scene, world), Sunlight(), WIDTH, HEIGHT, samples=SAMPLES, detail=0.0,
-                     device=str(sim.model.device))  # fmt: skip
+    view = view_of(sim, scene, world)
+    seen_from = np.subtract(view.position, view.target)
+    azimuth = float(np.degrees(np.arctan2(seen_from[1], seen_from[0]))) + 40.0  # the sun is behind the viewer
+    radiance = trace(mesh, view, Sunlight(azimuth=azimuth, elevation=48.0), WIDTH, HEIGHT, samples=SAMPLES, detail=0.0,
+                     ground_color=GROUND, device=str(sim.model.device))  # fmt: skip
     return develop(radiance)
 
 
@@ -38,8 +44,8 @@ def _host(tensor: torch.Tensor) -> Array:
     return tensor.detach().cpu().numpy().astype(np.float64)
 
 
-def _solids(sim: ArmSimulator, scene: Scene, world: int) -> tuple[Array, Array, Array, Array]:
-    """Capsules of arm, branches and target of one world, and their colours."""
+def solids(sim: ArmSimulator, scene: Scene, world: int) -> tuple[Array, Array, Array, Array]:
+    """Return the capsules of one world: start, end [C, 3] and radius [C] in m, colour [C, 3]."""
     c = sim.capsules
     start, end, radius = (_host(wp.to_torch(a)[world]) for a in (c.start, c.end, c.radius))
     tree = sim.model.trees[world]
@@ -53,8 +59,8 @@ def _solids(sim: ArmSimulator, scene: Scene, world: int) -> tuple[Array, Array, 
     return joined[0], joined[1], joined[2], joined[3]
 
 
-def _view(sim: ArmSimulator, scene: Scene, world: int) -> View:
-    """Look across the line, from a little above, at the middle between the arm's base and the line."""
+def view_of(sim: ArmSimulator, scene: Scene, world: int) -> View:
+    """Return a view across the line, from a little above, of the middle between the arm's base and the line."""
     start, end = _host(sim.line_start)[world], _host(sim.line_end)[world]
     outward = _host(scene.root)[world] * [1.0, 1.0, 0.0]
     outward /= max(float(np.linalg.norm(outward)), 1e-9)

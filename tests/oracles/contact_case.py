@@ -103,7 +103,7 @@ def simulator(trees, arm: Arm | None = None, *, q=STRETCHED, width: int = 1, con
 
 
 def contacts_of(sim: ArmSimulator, world: int = 0) -> np.ndarray:
-    """Contacts of a world in the last substep, a structured array: its numbers and what is in `kernels.contact.Contact`."""
+    """Contacts of a world in the last substep, a structured array of `kernels.contact.Contact`."""
     return sim._touch.record.numpy()[world, : int(sim._touch.count[world])]
 
 

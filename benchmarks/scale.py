@@ -1,0 +1,121 @@
+"""How the power-line task scales with the number of worlds: construction, memory, world-steps a second.
+
+    python benchmarks/scale.py --out DIR [--worlds 64 256 1024 4096 6144] [--preset gpu] [--device cpu]
+
+Every size runs in a process of its own, so that its memory is its own. Writes scale.json, scale.md and scale.png. Exits
+with 1 where a bound is broken: 6144 worlds built in 120 s and 3 GiB, world-steps a second within 25 % of their median
+over all sizes, no world lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
+
+BUILD_S, MEMORY_GIB, FLAT = 120.0, 3.0, 0.25
+
+
+def measure(worlds: int, preset: str, device: str, seconds: float) -> dict[str, Any]:
+    """Build the task, then step it under random actions for a while; kernels are compiled before the clock starts."""
+    import torch
+    from bough.learn.tasks import PRESETS, make_task
+
+    make_task("powerline", PRESETS[preset], num_envs=16, seed=1, device=device).step(torch.zeros(16, 6, device=device))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    begun = time.perf_counter()
+    task = make_task("powerline", PRESETS[preset], num_envs=worlds, seed=0, device=device)
+    build = time.perf_counter() - begun
+    generator = torch.Generator(device=device).manual_seed(0)
+    rounds = []
+    task.step(task.actions)
+    while len(rounds) < 3 or sum(rounds) < seconds:
+        task.actions.uniform_(-1.0, 1.0, generator=generator)
+        begun = time.perf_counter()
+        task.step(task.actions)
+        if "cuda" in device:
+            torch.cuda.synchronize()
+        rounds.append(time.perf_counter() - begun)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    step = sorted(rounds)[len(rounds) // 2]
+    links = sum(t.num_links for t in task.simulator.model.trees) / worlds
+    return {
+        "worlds": worlds, "links": links, "build_s": build, "process_gib": peak, "own_gib": peak - before,
+        "simulator_mib": task.simulator.nbytes / 2**20, "policy_steps_per_s": worlds / step,
+        "world_steps_per_s": worlds * task.cfg.physics_steps / step, "lost": int(task.lost.sum()),
+    }  # fmt: skip
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Return the rows in Markdown."""
+    head = "| worlds | links | built in [s] | memory of the process [GiB] | policy steps/s | world-steps/s |"
+    lines = [head, "|---|---|---|---|---|---|"]
+    for r in rows:
+        lines.append(f"| {r['worlds']} | {r['links']:.0f} | {r['build_s']:.1f} | {r['process_gib']:.2f} | "
+                     f"{r['policy_steps_per_s']:,.0f} | {r['world_steps_per_s']:,.0f} |")  # fmt: skip
+    return "\n".join(lines)
+
+
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Draw world-steps a second over the number of worlds, and the band of 25 %."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    worlds, speed = [r["worlds"] for r in rows], [r["world_steps_per_s"] / 1e3 for r in rows]
+    middle = sorted(speed)[len(speed) // 2]
+    figure, axes = plt.subplots(figsize=(5.6, 3.4), layout="constrained")
+    axes.axhspan((1 - FLAT) * middle, (1 + FLAT) * middle, color="0.92", label="within 25 % of the median")
+    axes.semilogx(worlds, speed, "o-", base=2, color="#1b6e3c")
+    axes.set(xlabel="worlds", ylabel="thousand world-steps a second", ylim=(0, 1.4 * max(speed)))
+    axes.set_xticks(worlds, [str(w) for w in worlds])
+    axes.legend(frameon=False)
+    figure.savefig(path, dpi=150)
+
+
+def main() -> int:
+    """Run every size in a process of its own; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--worlds", type=int, nargs="+", default=[64, 256, 1024, 4096, 6144])
+    parser.add_argument("--preset", default="gpu")
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--seconds", type=float, default=6.0, help="stepping time of a size")
+    parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.one:
+        print("RESULT", json.dumps(measure(options.worlds[0], options.preset, options.device, options.seconds)))
+        return 0
+    options.out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for worlds in options.worlds:
+        command = [sys.executable, __file__, "--one", "--out", str(options.out), "--worlds", str(worlds)]
+        command += ["--preset", options.preset, "--device", options.device, "--seconds", str(options.seconds)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        found = [line for line in done.stdout.splitlines() if line.startswith("RESULT ")]
+        if not found:
+            print(done.stderr)
+            return 1
+        rows.append(json.loads(found[0][7:]))
+        print(table(rows[-1:]).splitlines()[-1], flush=True)
+    (options.out / "scale.json").write_text(json.dumps(rows, indent=2) + "\n")
+    (options.out / "scale.md").write_text(table(rows) + "\n")
+    draw(rows, options.out / "scale.png")
+    speeds = sorted(r["world_steps_per_s"] for r in rows)
+    middle = speeds[len(speeds) // 2]
+    flat = all(abs(s / middle - 1.0) <= FLAT for s in speeds)
+    small = all(r["build_s"] <= BUILD_S and r["process_gib"] <= MEMORY_GIB for r in rows)
+    return 0 if flat and small and not any(r["lost"] for r in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
