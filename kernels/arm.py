@@ -105,7 +105,7 @@ def arm_types(dof: int) -> SimpleNamespace:
     return SimpleNamespace(Arm=Arm, ArmState=ArmState, ArmWork=ArmWork, Row=Row, Square=Square, dof=dof)
 
 
-@wp.func
+@wp.func(inline=True)
 def place_arm(w: int, a: Any, q_in: Any, k: Any):
     """Place every link: p_j = p_{j-1} + R_{j-1} o_j,  R_j = R_{j-1} T_j exp(axis q_j); and the ends of its capsules."""
     origin = wp.vec3(0.0, 0.0, 0.0)
@@ -126,13 +126,13 @@ def place_arm(w: int, a: Any, q_in: Any, k: Any):
             k.end[w, c] = k.origin[w, j] + wp.quat_rotate(k.pose[w, j], a.shape_end[c])
 
 
-@wp.func
+@wp.func(inline=True)
 def inertia_about_origin(mass: float, c: wp.vec3, about_com: wp.mat33):
     """I + m (|c|^2 1 - c c^T)"""
     return about_com + mass * (wp.dot(c, c) * wp.identity(n=3, dtype=wp.float32) - wp.outer(c, c))
 
 
-@wp.func
+@wp.func(inline=True)
 def velocity_forces(w: int, a: Any, x: Any, k: Any):
     """Forces that velocity products need, link by link.
 
@@ -161,7 +161,7 @@ def velocity_forces(w: int, a: Any, x: Any, k: Any):
         k.moment[w, j] = tensor * turning + wp.cross(first, sliding) + wp.cross(spin, H) + wp.cross(slide, P)
 
 
-@wp.func
+@wp.func(inline=True)
 def arm_dynamics(w: int, a: Any, x: Any, k: Any):
     """Joint-space inertia M, velocity products b and the torques that carry the weight, from the last joint inward."""
     velocity_forces(w, a, x, k)
@@ -201,13 +201,13 @@ def arm_dynamics(w: int, a: Any, x: Any, k: Any):
     k.weight[w] = g
 
 
-@wp.func
+@wp.func(inline=True)
 def lever(w: int, k: Any, j: int, point: wp.vec3):
     """Velocity of a point per unit rate of joint j: z_j x (p - p_j)."""
     return wp.cross(k.axis[w, j], point - k.origin[w, j])
 
 
-@wp.func
+@wp.func(inline=True)
 def point_velocity(w: int, k: Any, link: int, point: wp.vec3, v: Any):
     """J v of a point of a link."""
     out = wp.vec3(0.0, 0.0, 0.0)
@@ -216,7 +216,7 @@ def point_velocity(w: int, k: Any, link: int, point: wp.vec3, v: Any):
     return out
 
 
-@wp.func
+@wp.func(inline=True)
 def add_point_force(w: int, k: Any, link: int, point: wp.vec3, force: wp.vec3):
     """Q += J^T f of a force at a point of a link."""
     Q = k.load[w]
@@ -232,7 +232,7 @@ def arm_functions(dof: int) -> SimpleNamespace:
     Square = wp.types.matrix((dof, dof), wp.float32)
     Tall = wp.types.matrix((dof, 3), wp.float32)
 
-    @wp.func
+    @wp.func(inline=True)
     def cholesky(A: Square) -> Square:
         """L with A = L L^T; its diagonal holds the reciprocals."""
         L = Square()
@@ -247,7 +247,7 @@ def arm_functions(dof: int) -> SimpleNamespace:
                     L[i, j] = total * L[j, j]
         return L
 
-    @wp.func
+    @wp.func(inline=True)
     def solved(L: Square, b: Row) -> Row:
         """A^-1 b"""
         y = Row()
@@ -264,7 +264,7 @@ def arm_functions(dof: int) -> SimpleNamespace:
             y[i] = total * L[i, i]
         return y
 
-    @wp.func
+    @wp.func(inline=True)
     def jacobian(w: int, k: Any, link: int, other: int, point: wp.vec3) -> Tall:
         """Velocity of a link's point against that of another link (or of what does not move, -1), a row a joint."""
         J = Tall()
@@ -296,7 +296,7 @@ def arm_functions(dof: int) -> SimpleNamespace:
             C = C + wp.outer(y, y)
         return C
 
-    @wp.func
+    @wp.func(inline=True)
     def push_back(w: int, k: Any, c: Any, A: Square, h: float) -> Square:
         """A + h J^T W J of a contact with something that does not move, or with another link of the arm."""
         J = jacobian(w, k, c.body, c.other, c.point)
@@ -306,7 +306,7 @@ def arm_functions(dof: int) -> SimpleNamespace:
                 A[i, j] = A[i, j] + h * wp.dot(wp.vec3(J[j, 0], J[j, 1], J[j, 2]), WJ)
         return A
 
-    @wp.func
+    @wp.func(inline=True)
     def solve_arm(w: int, a: Any, x: Any, k: Any, contact_in: Any, count: int, h: float):
         """Velocities after the step under the present contact forces; the joints at their torque limit are found."""
         M = k.inertia[w]
@@ -377,7 +377,7 @@ def arm_functions(dof: int) -> SimpleNamespace:
             L = cholesky(A)
         k.factor[w] = L
 
-    @wp.func
+    @wp.func(inline=True)
     def finish_arm(w: int, a: Any, x: Any, k: Any, h: float):
         """Take the step: qd <- v', q <- q + h v'; and note the servos' torques.
 
@@ -404,13 +404,13 @@ def arm_functions(dof: int) -> SimpleNamespace:
     return SimpleNamespace(solve_arm=solve_arm, compliance=compliance, finish_arm=finish_arm)
 
 
-@wp.func
+@wp.func(inline=True)
 def beyond(q: float, lower: float, upper: float):
     """How far a joint is beyond its stops [rad], signed."""
     return wp.max(q - upper, 0.0) + wp.min(q - lower, 0.0)
 
 
-@wp.func
+@wp.func(inline=True)
 def command(w: int, a: Any, x: Any, j: int, h: float):
     """Velocity target within the speed limit, and slowing so that a joint comes to rest at its stop, not beyond."""
     limit = a.speed_limit[j]

@@ -37,8 +37,10 @@ __all__ = ["BASE", "GROUND", "LINE", "Contact", "ContactRule", "contact_types"]
 LINE = wp.constant(-1)
 GROUND = wp.constant(-2)
 BASE = wp.constant(-3)
-#: Share by which friction may miss its cone before the solve is repeated, and of a force by which the arm may.
+#: Share by which friction may miss its cone before the solve is repeated.
 SLACK = wp.constant(0.015)
+#: Share of a force by which the arm may move otherwise than the contact assumed.
+MISS = wp.constant(0.03)
 #: Speed at which deep overlaps come apart [m/s]: damping grows with the depth, so that worlds that start with overlaps
 #: do not burst, while the force of what is held grows on and no arm is strong enough to push through.
 EXIT = wp.constant(2.0)
@@ -133,6 +135,7 @@ def contact_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         at: wp.array2d(dtype=Vec)
         velocity: wp.array2d(dtype=Vec)
         touched: wp.array2d(dtype=int)
+        path: wp.array2d(dtype=int)
         A: wp.array2d(dtype=Sym)
         B: wp.array2d(dtype=Mat)
         M: wp.array2d(dtype=Sym)
@@ -152,7 +155,7 @@ def contact_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
 # ---- one contact, scalar -----------------------------------------------------------------------------------------
 
 
-@wp.func
+@wp.func(inline=True)
 def lane_vec(v: Any, k: int):
     """A vector of world k of the group."""
     return wp.vec3(lane(v.x, k), lane(v.y, k), lane(v.z, k))
@@ -187,14 +190,14 @@ def meet(c: Contact, rule: ContactRule, w: int, approach: wp.vec3, h: float):
     return c
 
 
-@wp.func
+@wp.func(inline=True)
 def impedance(c: Contact, rule: ContactRule, h: float):
     """W_v = (c + h k) n n^T + d (1 - n n^T)"""
     normal = damper_of(c.gap, rule, h) + h * rule.stiffness
     return c.damper * wp.identity(n=3, dtype=wp.float32) + (normal - c.damper) * wp.outer(c.normal, c.normal)
 
 
-@wp.func
+@wp.func(inline=True)
 def spring(c: Contact, rule: ContactRule):
     """-k g n"""
     return c.normal * (0.0 - rule.stiffness * c.gap)
@@ -324,7 +327,7 @@ def add_symmetric(entry_out: wp.array4d(dtype=wp.float32), row: int, i: int, k: 
     entry_out[row, i, 5, k] = entry_out[row, i, 5, k] + S[2, 2]
 
 
-@wp.func
+@wp.func(inline=True)
 def locate_joints(e: int, row: int, m: Any, s: Any, touch: Any):
     """Joint points and their velocities in world axes, outward."""
     zero = s.spin[row, 0]
@@ -340,46 +343,76 @@ def locate_joints(e: int, row: int, m: Any, s: Any, touch: Any):
         touch.velocity[row, i] = v
 
 
-@wp.func
-def fold_touched(e: int, row: int, m: Any, x: Any, s: Any, touch: Any, h: wp.float64):
-    """Fold as `articulated.fold_links` does, with what the contacts add."""
+@wp.func(inline=True)
+def mark_paths(
+    e: int, row: int, width: int, slot_world: wp.array(dtype=int), m: Any, rule: ContactRule, touch: Any
+) -> int:
+    """Mark the links that a contact may touch, and all between them and the root; return whether anything touches.
+
+    What the others hand in stays as it is while the contacts' solve is repeated.
+    """
+    for i in range(m.count[e] + 1):
+        touch.path[row, i] = 0
+    todo = int(0)
+    for k in range(width):
+        w = slot_world[e * width + k]
+        if w >= 0:
+            for n in range(rule.count[w]):
+                touch.path[row, rule.record[w, n].link] = 1
+                todo = 1
+    for step in range(m.count[e]):
+        i = m.count[e] - step
+        if touch.path[row, i] == 1:
+            touch.path[row, m.parent[e, i]] = 1
+    touch.path[row, 0] = 0
+    return todo
+
+
+@wp.func(inline=True)
+def fold_touched(e: int, row: int, m: Any, x: Any, s: Any, touch: Any, again: int, h: wp.float64):
+    """Fold as `articulated.fold_links` does, with what the contacts add.
+
+    ``again``, only what a contact changed: the links on marked paths, and their children, which hand in anew.
+    """
     n = m.count[e]
     for step in range(n):
         i = n - step
-        A = own_inertia(e, row, i, m, s)
-        mass = m.mass[e, i]
-        mc = rotate(s.pose[row, i], m.com[e, i]) * mass
-        B = skew(mc, s.U[row, i])
-        f = own_force(row, i, s, mass, mc)
-        n0 = own_moment(row, i, s, A, mc)
-        o = real(0.0, mass)
-        M = type(A)(mass, o, o, mass, o, mass)
-        if touch.touched[row, i] == 1:
-            fold_inertia(e, row, i, m, x, s, h, A + touch.A[row, i], B + touch.B[row, i], M + touch.M[row, i],
-                         n0 + touch.n[row, i], f + touch.f[row, i], m.preload[e, i])  # fmt: skip
-        else:
-            fold_inertia(e, row, i, m, x, s, h, A, B, M, n0, f, m.preload[e, i])
-
-
-@wp.func
-def respond(e: int, row: int, m: Any, s: Any, h: wp.float64):
-    """Deviations of all accelerations, as `articulated.advance_links` finds them, without taking the step."""
-    for i in range(1, m.count[e] + 1):
-        p = m.parent[e, i]
-        kind = m.kind[e, i]
-        alpha = s.alpha[row, p]
-        accel = add_cross(s.accel[row, p], alpha, s.r[row, i])
-        if kind == SPHERICAL:
-            k = fma(m.damping[e, i], real(h, m.damping[e, i]), m.armature[e, i])
-            qdd = add_mul(sub_mul(s.u[row, i], s.U[row, i], accel), s.D[row, i], alpha * k) - alpha
-            alpha = alpha + qdd
-        elif kind != FIXED:
-            U = s.U[row, i]
-            u = s.u[row, i]
-            turn = u.x - (dot(U.x, alpha) + dot(U.y, accel)) * u.y
-            if kind == PRISMATIC:
-                accel = accel + U.z * turn
+        if again == 0 or touch.path[row, i] == 1 or touch.path[row, m.parent[e, i]] == 1:
+            A = own_inertia(e, row, i, m, s)
+            mass = m.mass[e, i]
+            mc = rotate(s.pose[row, i], m.com[e, i]) * mass
+            B = skew(mc, s.U[row, i])
+            f = own_force(row, i, s, mass, mc)
+            n0 = own_moment(row, i, s, A, mc)
+            o = real(0.0, mass)
+            M = type(A)(mass, o, o, mass, o, mass)
+            if touch.touched[row, i] == 1:
+                fold_inertia(e, row, i, m, x, s, h, A + touch.A[row, i], B + touch.B[row, i], M + touch.M[row, i],
+                             n0 + touch.n[row, i], f + touch.f[row, i], m.preload[e, i])  # fmt: skip
             else:
-                alpha = alpha + U.z * turn
-        s.alpha[row, i] = alpha
-        s.accel[row, i] = accel
+                fold_inertia(e, row, i, m, x, s, h, A, B, M, n0, f, m.preload[e, i])
+
+
+@wp.func(inline=True)
+def respond(e: int, row: int, m: Any, s: Any, touch: Any, h: wp.float64):
+    """Deviations of the accelerations on marked paths, as `articulated.advance_links` finds them."""
+    for i in range(1, m.count[e] + 1):
+        if touch.path[row, i] == 1:
+            p = m.parent[e, i]
+            kind = m.kind[e, i]
+            alpha = s.alpha[row, p]
+            accel = add_cross(s.accel[row, p], alpha, s.r[row, i])
+            if kind == SPHERICAL:
+                k = fma(m.damping[e, i], real(h, m.damping[e, i]), m.armature[e, i])
+                qdd = add_mul(sub_mul(s.u[row, i], s.U[row, i], accel), s.D[row, i], alpha * k) - alpha
+                alpha = alpha + qdd
+            elif kind != FIXED:
+                U = s.U[row, i]
+                u = s.u[row, i]
+                turn = u.x - (dot(U.x, alpha) + dot(U.y, accel)) * u.y
+                if kind == PRISMATIC:
+                    accel = accel + U.z * turn
+                else:
+                    alpha = alpha + U.z * turn
+            s.alpha[row, i] = alpha
+            s.accel[row, i] = accel

@@ -13,7 +13,7 @@ from .real import any_neg, fma, lane, lane_neg, real, sqrt_
 __all__ = ["find_arm_contacts", "find_branch_contacts", "note_arm"]
 
 
-@wp.func
+@wp.func(inline=True)
 def note_arm(w: int, row: int, lane_: int, a: Any, k: Any, rule: ContactRule, touch: Any, speed: float):
     """Write down for the group's lanes where the arm's capsules and the line are, and how fast the arm may be."""
     n = a.shape_link.shape[0]
@@ -77,7 +77,7 @@ def add_arm_contact(
     add_contact(w, rule, meet(c, rule, w, approach, h))
 
 
-@wp.func
+@wp.func(inline=True)
 def find_arm_contacts(w: int, a: Any, k: Any, rule: ContactRule, v: Any, reach: float, h: float):
     """Find contacts of the arm with the line, the ground and itself, up to ``reach`` [m] away."""
     for i in range(a.shape_link.shape[0]):
@@ -148,7 +148,7 @@ def add_branch_contact(
     add_contact(w, rule, meet(c, rule, w, approach, h))
 
 
-@wp.func
+@wp.func(inline=True)
 def find_branch_contacts(
     e: int, row: int, width: int, slot_world: wp.array(dtype=int), a: Any, k: Any, rule: ContactRule, shapes: Any,
     s: Any, touch: Any, with_line: int, h: float,

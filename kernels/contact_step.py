@@ -8,6 +8,7 @@ import warp as wp
 from .arm import add_point_force, arm_dynamics, arm_functions, arm_types, end_pose, place_arm, point_velocity
 from .articulated import advance_links, place_links, place_root
 from .contact import (
+    MISS,
     ContactRule,
     add_to_link,
     clear_link,
@@ -17,6 +18,7 @@ from .contact import (
     judge,
     lane_vec,
     locate_joints,
+    mark_paths,
     respond,
     spring,
     stiffen,
@@ -38,7 +40,7 @@ def contact_step_kernel(width: int, dof: int) -> Any:
     solve_arm, compliance, finish_arm = functions.solve_arm, functions.compliance, functions.finish_arm
     W = width
 
-    @wp.func
+    @wp.func(inline=True)
     def set_out(
         w: int, row: int, lane_: int, a: Arm, y: ArmState, k: ArmWork, rule: ContactRule, touch: Touch, h: float
     ):
@@ -65,7 +67,7 @@ def contact_step_kernel(width: int, dof: int) -> Any:
             rule.record[w, n] = c
         k.velocity[w] = now
 
-    @wp.func
+    @wp.func(inline=True)
     def press(w: int, row: int, lane_: int, k: ArmWork, rule: ContactRule, touch: Touch, h: float):
         """Bring all contacts of a world up to date and add the branches' to their links.
 
@@ -95,19 +97,15 @@ def contact_step_kernel(width: int, dof: int) -> Any:
                     c.impedance = impedance(c, rule, h)
                     rule.record[w, n] = c
 
-    @wp.func
-    def answer(
-        w: int, row: int, lane_: int, a: Arm, y: ArmState, k: ArmWork, rule: ContactRule, s: Scratch, h: float
-    ) -> int:
-        """Find the forces that came out and the arm's velocity under them; return whether to repeat the solve."""
+    @wp.func(inline=True)
+    def gather(w: int, row: int, lane_: int, k: ArmWork, rule: ContactRule, s: Scratch, h: float):
+        """Find the forces on the branches that came out of their solve, and what they amount to at the arm's joints."""
         k.load[w] = Row()
-        changed = int(0)
         for n in range(rule.count[w]):
             c = rule.record[w, n]
             if c.link > 0:
-                gained = lane_vec(s.accel[row, c.link], lane_) + wp.cross(
-                    lane_vec(s.alpha[row, c.link], lane_), c.lever
-                )
+                turned = lane_vec(s.alpha[row, c.link], lane_)
+                gained = lane_vec(s.accel[row, c.link], lane_) + wp.cross(turned, c.lever)
                 c.force = wp.vec3(0.0, 0.0, 0.0)
                 if c.active == 1:
                     c.force = c.nominal - h * (c.impedance * gained)
@@ -115,7 +113,11 @@ def contact_step_kernel(width: int, dof: int) -> Any:
                         add_point_force(w, k, c.body, c.point, wp.vec3(0.0, 0.0, 0.0) - c.force)
                 c.branch_now = c.branch + h * gained
                 rule.record[w, n] = c
-        solve_arm(w, a, y, k, rule.record, rule.count[w], h)
+
+    @wp.func(inline=True)
+    def answer(w: int, k: ArmWork, rule: ContactRule, h: float) -> int:
+        """Judge all contacts by the velocities of branches and arm under their forces; return whether to repeat."""
+        changed = int(0)
         v = k.velocity[w]
         for n in range(rule.count[w]):
             c = rule.record[w, n]
@@ -127,7 +129,7 @@ def contact_step_kernel(width: int, dof: int) -> Any:
                     relative = relative - v_a
                     if c.active == 1:
                         missed = c.impedance * (v_a - (c.still - h * (c.compliance * (c.force * c.share))))
-                        if wp.length(missed) > 0.03 * wp.length(c.force) + 0.05:
+                        if wp.length(missed) > MISS * wp.length(c.force) + 0.05:
                             changed = 1
             else:
                 relative = point_velocity(w, k, c.body, c.point, v)
@@ -142,7 +144,7 @@ def contact_step_kernel(width: int, dof: int) -> Any:
             rule.record[w, n] = corrected
         return changed
 
-    @wp.func
+    @wp.func(inline=True)
     def note_forces(w: int, y: ArmState, rule: ContactRule):
         """Sum the forces that acted: on every link of the arm and on every capsule of the branches."""
         for n in range(rule.count[w]):
@@ -184,38 +186,48 @@ def contact_step_kernel(width: int, dof: int) -> Any:
                     if rule.line_mask[w] == 1:
                         with_line = 1
             find_branch_contacts(e, r, W, slot_world, a, k_out, rule, shapes, s_out, touch_out, with_line, dt)
-            todo = int(0)
+            todo = mark_paths(e, r, W, slot_world, m, rule, touch_out)
             for lane_ in range(W):
                 w = slot_world[e * W + lane_]
                 if w >= 0:
-                    todo = wp.max(todo, rule.count[w])
-                    k_out.settled[w] = wp.where(rule.count[w] > 0, 0, 1)
-                    k_out.settled[w] = wp.where(rule.count[w] == 0, 1, 0)
-                    solve_arm(w, a, y_in_out, k_out, rule.record, rule.count[w], dt)
-            left = wp.where(todo > 0, rule.repeats, 1)
-            while left > 0:
-                left = left - 1
-                for i in range(m.count[e] + 1):
-                    touch_out.touched[r, i] = 0
-                if todo > 0:
-                    for lane_ in range(W):
-                        w = slot_world[e * W + lane_]
-                        if w >= 0:
-                            if rule.count[w] > 0:
-                                press(w, r, lane_, k_out, rule, touch_out, dt)
-                fold_touched(e, r, m, x_in_out, s_out, touch_out, h)
-                if todo > 0:
-                    respond(e, r, m, s_out, h)
-                    changed = int(0)
-                    for lane_ in range(W):
-                        w = slot_world[e * W + lane_]
-                        if w >= 0:
-                            if k_out.settled[w] == 0:
-                                moved = answer(w, r, lane_, a, y_in_out, k_out, rule, s_out, dt)
-                                changed = wp.max(changed, moved)
-                                k_out.settled[w] = 1 - moved
-                    if changed == 0:
-                        left = int(0)
+                    k_out.settled[w] = 0
+            solves = int(0)
+            busy = int(1)
+            while busy == 1:
+                changed = int(0)
+                for lane_ in range(W):
+                    w = slot_world[e * W + lane_]
+                    if w >= 0:
+                        if k_out.settled[w] == 0:
+                            solve_arm(w, a, y_in_out, k_out, rule.record, rule.count[w], dt)
+                            moved = wp.where(rule.count[w] > 0, 1, 0)
+                            if solves > 0:
+                                moved = answer(w, k_out, rule, dt)
+                            changed = wp.max(changed, moved)
+                            k_out.settled[w] = 1 - moved
+                if solves > 0:
+                    if changed == 0 or solves == rule.repeats:
+                        busy = int(0)
+                if busy == 1:
+                    for i in range(m.count[e] + 1):
+                        touch_out.touched[r, i] = 0
+                    if todo == 1:
+                        for lane_ in range(W):
+                            w = slot_world[e * W + lane_]
+                            if w >= 0:
+                                if rule.count[w] > 0:
+                                    press(w, r, lane_, k_out, rule, touch_out, dt)
+                    fold_touched(e, r, m, x_in_out, s_out, touch_out, solves, h)
+                    solves = solves + 1
+                    if todo == 0:
+                        busy = int(0)
+                    else:
+                        respond(e, r, m, s_out, touch_out, h)
+                        for lane_ in range(W):
+                            w = slot_world[e * W + lane_]
+                            if w >= 0:
+                                if k_out.settled[w] == 0:
+                                    gather(w, r, lane_, k_out, rule, s_out, dt)
             advance_links(e, r, m, x_in_out, s_out, h, bound)
             x_in_out.tick[e] = x_in_out.tick[e] + 1
             for lane_ in range(W):

@@ -282,8 +282,8 @@ class TouchArrays:
                 setattr(out, f"{name}_entry", field.entries())
         self._fields["near"].torch.fill_(-FAR)  # lanes without a world: far from absent capsules
         rows, places = self._fields["at"].kernel.shape
-        self._touched = wp.zeros((rows, places), dtype=int, device=self.device)
-        out.touched = self._touched
+        self._marks = [wp.zeros((rows, places), dtype=int, device=self.device) for _ in range(2)]
+        out.touched, out.path = self._marks
         return out
 
     @property

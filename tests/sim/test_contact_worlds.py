@@ -12,6 +12,7 @@ from bough.kernels.collide import nearest_on_segments
 from bough.sim.arm_arrays import arm_capsules
 from bough.sim.arm_simulator import Contacts
 from bough.sim.errors import InputError
+from bough.sim.host import simd_width
 from bough.sim.jaco2 import jaco2
 from bough.sim.tree import Joint
 from oracles.contact_case import DT, STRETCHED, contacts_of, post, simulator, ternary
@@ -152,7 +153,7 @@ def test_arms_at_full_speed_pass_no_thin_branch(stiffness):
     that an elbow or the fingers close upon.
     """
     trees, q = thin_posts(64, 0.002, stiffness)
-    sim = simulator(trees, q=q, width=16)
+    sim = simulator(trees, q=q, width=simd_width())
     rng = np.random.default_rng(1)
     signs = rng.choice([-1.0, 1.0], (4, 64, 6))
     depth = deepest(sim, 2.0, lambda t: signs[int(t / 0.5)] * ARM.velocity_limit)
@@ -195,7 +196,7 @@ def test_arms_at_full_speed_pass_neither_line_nor_ground_nor_themselves():
     """
     rng, worlds = np.random.default_rng(2), 48
     q = STRETCHED + np.array([1.0, 0.2, 0.3, 1.0, 1.0, 1.0]) * rng.uniform(-1, 1, (worlds, 6))
-    sim = simulator([FAR] * worlds, q=q, width=16, contacts={"ground": 0.05, "arm_arm": True})
+    sim = simulator([FAR] * worlds, q=q, width=simd_width(), contacts={"ground": 0.05, "arm_arm": True})
     for w in range(worlds):
         point, across = beside(rng, q[w], 3, 0.01, 0.08)
         sim.line_start[w] = torch.as_tensor(point - across)
@@ -284,7 +285,7 @@ def same(a: list[np.ndarray], b: list[np.ndarray]) -> None:
 
 def test_lanes_change_no_bit():
     """Step 40 different worlds one a thread and sixteen a thread: all the same bits after 240 busy steps."""
-    one, lanes = busy(40), busy(40, width=16)
+    one, lanes = busy(40), busy(40, width=simd_width())
     for sim in (one, lanes):
         act(sim, 240)
     assert float(one.arm_peak.max()) > 5.0
@@ -349,7 +350,7 @@ def test_random_scenes_lose_no_world():
     99.9 % push and 99 % are in Coulomb's cone to 2 %: the others are of branches jammed between links, whose repeats
     end before all agree. ``benchmarks/contact.py --random`` runs 4096 x 1000.
     """
-    sim = busy(64, seed=3, width=16)
+    sim = busy(64, seed=3, width=simd_width())
     sim.step()
     clear = sim.depth.numpy() == 0.0
     assert clear.sum() > 25
