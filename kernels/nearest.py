@@ -21,6 +21,8 @@ from .real import SOURCE, add, any_neg, fma, lane, lane_neg, mul, real, sub
 
 __all__ = ["Few", "finish_kernel", "margin_kernel", "nearest_kernel", "occlusion_kernel"]
 
+#: Puts a bound just above the squared distance it was taken from, which is then found again.
+NO_NEARER = wp.constant(1.000001)
 #: Squared distances, ascending.
 Few = wp.types.vector(5, wp.float32)
 
@@ -143,36 +145,30 @@ def keep_chunk(w: int, b: int, other: int, x: float, y: float, z: float, best: F
 def closest_points(w: int, b: int, place: wp.vec3, limit: float, t: int, team: int, lanes: int, c: Any):
     """Squared distances below ``limit`` of the points of cloud b closest to a place, of every ``team``-th chunk from t.
 
-    Every lane keeps the five least of its own points, sorted by minima and maxima; the five least are among these.
+    Many lanes first find the least of each lane: the fifth of those is of a point, so the fifth of all is no farther,
+    and a second look inserts the few points that are as near.
     """
     x = real(place[0], c.point[w, b, 0, 0])
     y = real(place[1], x)
     z = real(place[2], x)
-    first = real(limit, x)
-    second = first
-    third = first
-    fourth = first
-    fifth = first
+    best = Few(limit)
+    bound = limit
+    if lanes > 5:
+        least = real(limit, x)
+        for j in range(t, c.point.shape[3], team):
+            least = min_(least, squared(c.point[w, b, 0, j] - x, c.point[w, b, 1, j] - y, c.point[w, b, 2, j] - z))
+        for i in range(lanes):
+            best = keep_least(best, lane(least, i))
+        bound = best[4] * NO_NEARER
+        best = Few(limit)
     for j in range(t, c.point.shape[3], team):
         d2 = squared(c.point[w, b, 0, j] - x, c.point[w, b, 1, j] - y, c.point[w, b, 2, j] - z)
-        if any_neg(d2 - fifth):
-            more = max_(first, d2)
-            first = min_(first, d2)
-            d2 = max_(second, more)
-            second = min_(second, more)
-            more = max_(third, d2)
-            third = min_(third, d2)
-            d2 = max_(fourth, more)
-            fourth = min_(fourth, more)
-            fifth = min_(fifth, d2)
-    best = Few(limit)
-    for i in range(lanes):
-        best = keep_least(best, lane(first, i))
-        best = keep_least(best, lane(second, i))
-        best = keep_least(best, lane(third, i))
-        if lane(fourth, i) < best[4]:
-            best = keep_least(best, lane(fourth, i))
-            best = keep_least(best, lane(fifth, i))
+        if any_neg(d2 - bound):
+            for i in range(lanes):
+                if lane(d2, i) < best[4]:
+                    best = keep_least(best, lane(d2, i))
+            if lanes <= 5:
+                bound = best[4]
     return best
 
 

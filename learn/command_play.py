@@ -11,10 +11,9 @@ import tyro
 from ..sim.console import bar, shown, start_warp
 from ..sim.errors import InputError
 from ..sim.files import output_folder
-from .play import Film
+from .film import Film
 from .ppo_settings import preset_of
 from .task import TaskRegistry, builtin_tasks, require_rsl_rl, unseen_seed
-from .threads import one_thread
 
 if TYPE_CHECKING:
     from .evaluate import Policy
@@ -62,6 +61,7 @@ class Play:
 
     def _film(self, registry: TaskRegistry, out: Path) -> int:
         from .play import Episode, write_film
+        from .threads import one_thread
 
         task, policy = self._cast(registry)
         every = max(1, round(1.0 / (self.fps * task.step_seconds)))
@@ -75,6 +75,7 @@ class Play:
 
     def _watch(self, registry: TaskRegistry) -> int:
         from .live_viewer import open_viewer, watch
+        from .threads import one_thread
 
         viewer = open_viewer()  # before the worlds, which take longer than to say that there is no screen
         try:

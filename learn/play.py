@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import PIL.Image
 import torch
 
 from .evaluate import Policy, longest_episode
+from .film import Film
 
 if TYPE_CHECKING:
     from .task import Task
-
-Film = Literal["gif", "png"]
 
 
 class Episode:

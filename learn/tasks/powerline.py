@@ -164,6 +164,7 @@ class Powerline(VecEnv):
 
     @episode_length_buf.setter
     def episode_length_buf(self, value: torch.Tensor) -> None:
+        """Write steps since a world's episode began."""
         self._length.copy_(value)
 
     # ---- stepping ------------------------------------------------------------------------------------------------
