@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,9 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
+from bough.kernels.contact_look import capsule_kernel
+from bough.kernels.contact_step import contact_step_kernel
+from bough.kernels.reset_arm import reset_arm_kernel
 from bough.kernels.rollout import rollout_kernels
 from bough.sim.model import Model
 from bough.sim.newton_bridge import to_newton
@@ -95,6 +99,16 @@ def test_kernels_compile_for_a_gpu(kernel, tmp_path):
     (binary,) = wp.compile_aot_module(kernel.module, arch=90, module_dir=tmp_path, use_ptx=False)
     assert binary.name.endswith(".sm90.cubin")
     assert binary.read_bytes()[:4] == b"\x7fELF"
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="Warp for macOS is built without CUDA")
+@pytest.mark.parametrize("make", [contact_step_kernel, capsule_kernel, lambda _, dof: reset_arm_kernel(dof)])
+def test_kernels_of_the_arm_compile_for_a_gpu(make, tmp_path):
+    """Compile contact's step for sm_90; it computes in float32 only, the substep's length apart."""
+    (file,) = wp.compile_aot_module(make(1, 6).module, arch=90, module_dir=tmp_path, use_ptx=True)
+    text = file.read_text()
+    assert ".target sm_90" in text
+    assert len(re.findall(r"(?:mul|fma|div|sqrt)\S*\.f64", text)) < 8
 
 
 def test_the_gpu_benchmark_runs_on_a_cpu(tmp_path):
