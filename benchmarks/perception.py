@@ -8,9 +8,9 @@ cdist and topk. On a CPU both have one thread and are timed by the processor tim
 after a synchronisation. Rows are measured in turn, several times over; medians are printed.
 
 The PointNet++ encoder is PyTorch Geometric's (`PointNetConv`, the sizes of its classification example), if that is
-installed, else the same set abstraction written below in torch. Farthest point sampling is left out of both (every
-second and every fourth point is a centre instead) and neighbours are the 32 nearest, found by torch: a lower bound of
-its cost. torch-cluster, which would do both, has no wheel for this torch.
+installed, else the same set abstraction in plain torch (`learn.pointnet`). Farthest point sampling is left out of both
+(every second and every fourth point is a centre instead) and neighbours are the 32 nearest, found by torch: a lower
+bound of its cost. torch-cluster, which would do both, has no wheel for this torch.
 
 With ``--figure`` the error of inner products against the RBF kernel over R is drawn as well.
 
@@ -25,13 +25,13 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import torch
 import warp as wp
+from bough.learn.pointnet import PointNet, layers, neighbours
 from bough.perception import embed
 from bough.perception.sensor import COLUMNS, Sensor
 from bough.sim import host
@@ -104,34 +104,6 @@ def differences(
 # ---- PointNet++ --------------------------------------------------------------------------------------------------
 
 
-def neighbours(points: torch.Tensor, step: int, count: int = 32) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return centres [B, N/step, 3] (every ``step``-th point) and their nearest points [B, N/step, count]."""
-    centres = points[:, ::step]
-    return centres, torch.cdist(centres, points).topk(count, largest=False, sorted=False).indices
-
-
-def layers(*sizes: int) -> torch.nn.Sequential:
-    """Return a chain of linear layers and rectifiers."""
-    return torch.nn.Sequential(*[m for a, b in pairwise(sizes) for m in (torch.nn.Linear(a, b), torch.nn.ReLU())])
-
-
-def pointnet_of_torch() -> Callable[[torch.Tensor], torch.Tensor]:
-    """Return the encoder in plain torch: gather neighbours, shared layers, maximum (Qi et al. 2017)."""
-    chains = layers(3, 64, 64, 128), layers(131, 128, 128, 256), layers(259, 256, 512, 1024)
-
-    @torch.no_grad()
-    def encode(points: torch.Tensor) -> torch.Tensor:
-        features, row = None, torch.arange(len(points))[:, None, None]
-        for chain, step in zip(chains, (2, 4), strict=False):
-            centres, index = neighbours(points, step)
-            local = points[row, index] - centres[:, :, None]
-            local = local if features is None else torch.cat([features[row, index], local], dim=-1)
-            points, features = centres, chain(local).amax(2)
-        return chains[2](torch.cat([features, points], dim=-1)).amax(1)
-
-    return encode
-
-
 def pointnet_of_library() -> Callable[[torch.Tensor], torch.Tensor]:
     """Return the encoder of PyTorch Geometric's `PointNetConv`; raises ImportError where that is not installed."""
     from torch_geometric.nn import PointNetConv
@@ -160,7 +132,7 @@ def pointnet() -> tuple[str, Callable[[torch.Tensor], torch.Tensor]]:
     try:
         return "PyTorch Geometric", pointnet_of_library()
     except ImportError:
-        return "plain torch", pointnet_of_torch()
+        return "plain torch", torch.no_grad()(PointNet())
 
 
 # ---- measuring ---------------------------------------------------------------------------------------------------
