@@ -90,6 +90,8 @@ def arm_types(dof: int) -> SimpleNamespace:
         axis: wp.array2d(dtype=wp.vec3)
         moment: wp.array2d(dtype=wp.vec3)
         push: wp.array2d(dtype=wp.vec3)
+        first: wp.array2d(dtype=wp.vec3)
+        tensor: wp.array2d(dtype=wp.mat33)
         start: wp.array2d(dtype=wp.vec3)
         end: wp.array2d(dtype=wp.vec3)
         inertia: wp.array(dtype=Square)
@@ -102,7 +104,7 @@ def arm_types(dof: int) -> SimpleNamespace:
         loose: wp.array(dtype=int)
         settled: wp.array(dtype=int)
 
-    return SimpleNamespace(Arm=Arm, ArmState=ArmState, ArmWork=ArmWork, Row=Row, Square=Square, dof=dof)
+    return SimpleNamespace(Arm=Arm, ArmState=ArmState, ArmWork=ArmWork, Row=Row, Square=Square)
 
 
 @wp.func(inline=True)
@@ -134,7 +136,7 @@ def inertia_about_origin(mass: float, c: wp.vec3, about_com: wp.mat33):
 
 @wp.func(inline=True)
 def velocity_forces(w: int, a: Any, x: Any, k: Any):
-    """Forces that velocity products need, link by link.
+    """Every link's inertia about the origin, and the forces that velocity products need of it.
 
     f = m ao + aw x mc + w x P,  n = I aw + mc x ao + w x H + vo x P
     """
@@ -155,6 +157,8 @@ def velocity_forces(w: int, a: Any, x: Any, k: Any):
         c = k.origin[w, j] + R * a.com[j]
         tensor = inertia_about_origin(m, c, R * a.inertia[j] * wp.transpose(R))
         first = m * c
+        k.first[w, j] = first
+        k.tensor[w, j] = tensor
         P = m * slide + wp.cross(spin, first)
         H = tensor * spin + wp.cross(first, slide)
         k.push[w, j] = m * sliding + wp.cross(turning, first) + wp.cross(spin, P)
@@ -176,12 +180,9 @@ def arm_dynamics(w: int, a: Any, x: Any, k: Any):
     n = a.mass.shape[0]
     for step in range(n):
         j = n - 1 - step
-        m = a.mass[j]
-        R = wp.quat_to_matrix(k.pose[w, j])
-        c = k.origin[w, j] + R * a.com[j]
-        mass += m
-        first += m * c
-        tensor += inertia_about_origin(m, c, R * a.inertia[j] * wp.transpose(R))
+        mass += a.mass[j]
+        first += k.first[w, j]
+        tensor += k.tensor[w, j]
         push += k.push[w, j]
         moment += k.moment[w, j]
         z = k.axis[w, j]
@@ -228,8 +229,8 @@ def add_point_force(w: int, k: Any, link: int, point: wp.vec3, force: wp.vec3):
 @cache
 def arm_functions(dof: int) -> SimpleNamespace:
     """Return device functions whose matrices have the arm's size: ``solve_arm``, ``compliance`` and ``finish_arm``."""
-    Row = wp.types.vector(dof, wp.float32)
-    Square = wp.types.matrix((dof, dof), wp.float32)
+    types = arm_types(dof)
+    Row, Square = types.Row, types.Square
     Tall = wp.types.matrix((dof, 3), wp.float32)
 
     @wp.func(inline=True)
@@ -297,11 +298,10 @@ def arm_functions(dof: int) -> SimpleNamespace:
         return C
 
     @wp.func(inline=True)
-    def push_back(w: int, k: Any, c: Any, A: Square, h: float) -> Square:
+    def push_back(J: Tall, W: wp.mat33, A: Square, h: float) -> Square:
         """A + h J^T W J of a contact with something that does not move, or with another link of the arm."""
-        J = jacobian(w, k, c.body, c.other, c.point)
         for i in range(dof):
-            WJ = c.impedance * wp.vec3(J[i, 0], J[i, 1], J[i, 2])
+            WJ = W * wp.vec3(J[i, 0], J[i, 1], J[i, 2])
             for j in range(dof):
                 A[i, j] = A[i, j] + h * wp.dot(wp.vec3(J[j, 0], J[j, 1], J[j, 2]), WJ)
         return A
@@ -323,10 +323,13 @@ def arm_functions(dof: int) -> SimpleNamespace:
             c = contact_in[w, n]
             if c.link == 0:
                 if c.active == 1:
-                    base = push_back(w, k, c, base, h)
                     J = jacobian(w, k, c.body, c.other, c.point)
+                    base = push_back(J, c.impedance, base, h)
                     for i in range(dof):
                         right[i] = right[i] + h * wp.dot(wp.vec3(J[i, 0], J[i, 1], J[i, 2]), c.drive)
+        for j in range(dof):
+            resisting = a.damping[j] + a.friction[j] / wp.max(wp.abs(x.qd[w, j]), CREEP)
+            base[j, j] = base[j, j] + h * resisting
         g = k.weight[w]
         held = k.held[w]
         v = Row()
@@ -337,8 +340,6 @@ def arm_functions(dof: int) -> SimpleNamespace:
                 A = base
                 r = right
                 for j in range(dof):
-                    rate = wp.abs(x.qd[w, j])
-                    A[j, j] = A[j, j] + h * (a.damping[j] + a.friction[j] / wp.max(rate, CREEP))
                     if held[j] == 0.0:
                         A[j, j] = A[j, j] + h * a.gain[j]
                         r[j] = r[j] + h * a.gain[j] * command(w, a, x, j, h)
@@ -352,7 +353,7 @@ def arm_functions(dof: int) -> SimpleNamespace:
                 v = solved(L, r)
                 changed = int(0)
                 for j in range(dof):
-                    wanted = g[j] + a.gain[j] * (command(w, a, x, j, h) - v[j])
+                    wanted = servo(w, a, x, j, g[j], v[j], h)
                     limited = float(0.0)
                     if wanted > a.torque_limit[j]:
                         limited = 1.0
@@ -371,10 +372,7 @@ def arm_functions(dof: int) -> SimpleNamespace:
             if held[j] != 0.0:
                 k.loose[w] = 1
         if k.loose[w] == 1:
-            A = base
-            for j in range(dof):
-                A[j, j] = A[j, j] + h * (a.damping[j] + a.friction[j] / wp.max(wp.abs(x.qd[w, j]), CREEP))
-            L = cholesky(A)
+            L = cholesky(base)
         k.factor[w] = L
 
     @wp.func(inline=True)
@@ -389,7 +387,7 @@ def arm_functions(dof: int) -> SimpleNamespace:
         calm = float(1.0)
         sound = int(1)
         for j in range(dof):
-            wanted = g[j] + a.gain[j] * (command(w, a, x, j, h) - v[j])
+            wanted = servo(w, a, x, j, g[j], v[j], h)
             x.torque[w, j] = wp.clamp(wanted, 0.0 - a.torque_limit[j], a.torque_limit[j])
             if not wp.isfinite(v[j]):
                 sound = 0
@@ -419,6 +417,12 @@ def command(w: int, a: Any, x: Any, j: int, h: float):
     return wp.clamp(
         v, wp.min((a.lower[j] - x.q[w, j]) / reach, limit), wp.max((a.upper[j] - x.q[w, j]) / reach, 0.0 - limit)
     )
+
+
+@wp.func(inline=True)
+def servo(w: int, a: Any, x: Any, j: int, weight: float, speed: float, h: float):
+    """Torque that a joint's servo asks for, before its limit: g + D (v* - v')."""
+    return weight + a.gain[j] * (command(w, a, x, j, h) - speed)
 
 
 @wp.func

@@ -391,6 +391,22 @@ def hand_in(e: int, row: int, i: int, p: int, m: Any, s: Any, A: Any, B: Any, M:
 
 
 @wp.func(inline=True)
+def spherical_acceleration(e: int, row: int, i: int, m: Any, s: Any, alpha: Any, accel: Any, h: wp.float64):
+    """qdd = D t - D B a - (1 - k D) al, of the parent's deviations al and a at the joint's point."""
+    damping = m.damping[e, i]
+    k = fma(damping, real(h, damping), m.armature[e, i])
+    return add_mul(sub_mul(s.u[row, i], s.U[row, i], accel), s.D[row, i], alpha * k) - alpha
+
+
+@wp.func(inline=True)
+def scalar_acceleration(row: int, i: int, s: Any, alpha: Any, accel: Any):
+    """qdd = (t - U^T (al, a)) / d of a joint of one axis."""
+    U = s.U[row, i]
+    u = s.u[row, i]
+    return u.x - add_dot(dot(U.x, alpha), U.y, accel) * u.y
+
+
+@wp.func(inline=True)
 def advance_links(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64, bound: wp.float64):
     """Solve every joint's acceleration outward and take the step: qd += h qdd, then q <- q exp(h qd).
 
@@ -404,10 +420,8 @@ def advance_links(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64, bound
         accel = add_cross(s.accel[row, p], alpha, s.r[row, i])
         v = x.velocity[e, i]
         if kind == SPHERICAL:
-            damping = m.damping[e, i]
-            dt = real(h, damping)
-            k = fma(damping, dt, m.armature[e, i])
-            qdd = add_mul(sub_mul(s.u[row, i], s.U[row, i], accel), s.D[row, i], alpha * k) - alpha
+            dt = real(h, m.damping[e, i])
+            qdd = spherical_acceleration(e, row, i, m, s, alpha, accel, h)
             s.alpha[row, i] = alpha + qdd
             s.accel[row, i] = accel
             new = add_scaled(v, unrotate(s.pose[row, i], qdd), dt)
@@ -432,7 +446,7 @@ def advance_scalar(
     U = s.U[row, i]
     u = s.u[row, i]
     dt = real(h, u.x)
-    qdd = u.x - add_dot(dot(U.x, alpha), U.y, accel) * u.y
+    qdd = scalar_acceleration(row, i, s, alpha, accel)
     if kind == REVOLUTE:
         s.alpha[row, i] = add_scaled(alpha, U.z, qdd)
         s.accel[row, i] = accel

@@ -25,11 +25,21 @@ from typing import Any
 
 import warp as wp
 
-from .algebra import add, add_cross, add_mul, cross, dot, mul, rotate, sub, sub_mul
-from .articulated import FIXED, PRISMATIC, SPHERICAL, fold_inertia, own_force, own_inertia, own_moment, skew
-from .collide import nearest_on_segments
+from .algebra import add, add_cross, add_scaled, mul, rotate, sub
+from .articulated import (
+    FIXED,
+    PRISMATIC,
+    SPHERICAL,
+    fold_inertia,
+    own_force,
+    own_inertia,
+    own_moment,
+    scalar_acceleration,
+    skew,
+    spherical_acceleration,
+)
 from .layout import layout_of
-from .real import any_neg, fma, lane, lane_neg, real, sqrt_
+from .real import fma, lane, real
 
 __all__ = ["BASE", "GROUND", "LINE", "Contact", "ContactRule", "contact_types"]
 
@@ -328,22 +338,6 @@ def add_symmetric(entry_out: wp.array4d(dtype=wp.float32), row: int, i: int, k: 
 
 
 @wp.func(inline=True)
-def locate_joints(e: int, row: int, m: Any, s: Any, touch: Any):
-    """Joint points and their velocities in world axes, outward."""
-    zero = s.spin[row, 0]
-    touch.at[row, 0] = zero
-    touch.velocity[row, 0] = zero
-    for i in range(1, m.count[e] + 1):
-        p = m.parent[e, i]
-        r = s.r[row, i]
-        touch.at[row, i] = touch.at[row, p] + r
-        v = add_cross(touch.velocity[row, p], s.spin[row, p], r)
-        if m.kind[e, i] == PRISMATIC:
-            v = v + s.relative[row, i]
-        touch.velocity[row, i] = v
-
-
-@wp.func(inline=True)
 def mark_paths(
     e: int, row: int, width: int, slot_world: wp.array(dtype=int), m: Any, rule: ContactRule, touch: Any
 ) -> int:
@@ -403,16 +397,10 @@ def respond(e: int, row: int, m: Any, s: Any, touch: Any, h: wp.float64):
             alpha = s.alpha[row, p]
             accel = add_cross(s.accel[row, p], alpha, s.r[row, i])
             if kind == SPHERICAL:
-                k = fma(m.damping[e, i], real(h, m.damping[e, i]), m.armature[e, i])
-                qdd = add_mul(sub_mul(s.u[row, i], s.U[row, i], accel), s.D[row, i], alpha * k) - alpha
-                alpha = alpha + qdd
+                alpha = alpha + spherical_acceleration(e, row, i, m, s, alpha, accel, h)
+            elif kind == PRISMATIC:
+                accel = add_scaled(accel, s.U[row, i].z, scalar_acceleration(row, i, s, alpha, accel))
             elif kind != FIXED:
-                U = s.U[row, i]
-                u = s.u[row, i]
-                turn = u.x - (dot(U.x, alpha) + dot(U.y, accel)) * u.y
-                if kind == PRISMATIC:
-                    accel = accel + U.z * turn
-                else:
-                    alpha = alpha + U.z * turn
+                alpha = add_scaled(alpha, s.U[row, i].z, scalar_acceleration(row, i, s, alpha, accel))
             s.alpha[row, i] = alpha
             s.accel[row, i] = accel

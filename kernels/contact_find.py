@@ -121,30 +121,72 @@ def ground_arm(
 # ---- branches ------------------------------------------------------------------------------------------------------
 
 
+@wp.struct
+class Piece:
+    """One capsule of a branch in one world: the middle and half of its axis in world axes.
+
+    ``link`` is its place in the kernel arrays, ``capsule`` its number in the world, ``world`` -1 where there is none.
+    ``reach`` is the gap [m] that a step may close.
+    """
+
+    world: int
+    lane: int
+    link: int
+    capsule: int
+    middle: wp.vec3
+    half: wp.vec3
+    radius: float
+    reach: float
+
+
+@wp.func
+def piece_of(
+    e: int, row: int, width: int, lane_: int, c: int, slot_world: wp.array(dtype=int), shapes: Any, s: Any, centre: Any,
+    reach: Any,
+):  # fmt: skip
+    """Capsule c of the group in the world of one of its lanes."""
+    slot = e * width + lane_
+    i = shapes.link[e, c]
+    piece = Piece()
+    piece.world = slot_world[slot]
+    piece.lane = lane_
+    piece.link = i
+    piece.capsule = shapes.slot_capsule[slot, c]
+    if piece.capsule < 0:
+        piece.world = -1
+    piece.middle = lane_vec(centre, lane_)
+    piece.half = lane_vec(rotate(s.pose[row, i], shapes.half[e, c]), lane_)
+    piece.radius = lane(shapes.radius[e, c], lane_)
+    piece.reach = lane(reach, lane_) - lane(shapes.bound[e, c], lane_)
+    return piece
+
+
 @wp.func
 def add_branch_contact(
-    w: int, row: int, lane_: int, i: int, capsule: int, body: int, gap: float, normal: wp.vec3, point: wp.vec3,
-    k: Any, rule: ContactRule, s: Any, touch: Any, v: Any, h: float,
+    piece: Piece, row: int, body: int, gap: float, normal: wp.vec3, point: wp.vec3, k: Any, rule: ContactRule, s: Any,
+    touch: Any, h: float,
 ):  # fmt: skip
     """Keep a contact of a branch, with its velocity at the end of the step if nothing touched it (nominal)."""
+    w = piece.world
+    i = piece.link
     c = Contact()
     c.link = i
-    c.capsule = capsule
+    c.capsule = piece.capsule
     c.body = body
     c.other = -1
     c.gap = gap
     c.normal = normal
     c.point = point
-    c.lever = point - lane_vec(touch.at[row, i], lane_)
-    spin = lane_vec(s.spin[row, i], lane_)
-    nominal = lane_vec(s.accel0[row, i], lane_) - lane_vec(s.accel0[row, 0], lane_)
-    nominal = nominal + wp.cross(lane_vec(s.alpha0[row, i], lane_), c.lever)
+    c.lever = point - lane_vec(touch.at[row, i], piece.lane)
+    spin = lane_vec(s.spin[row, i], piece.lane)
+    nominal = lane_vec(s.accel0[row, i], piece.lane) - lane_vec(s.accel0[row, 0], piece.lane)
+    nominal = nominal + wp.cross(lane_vec(s.alpha0[row, i], piece.lane), c.lever)
     nominal = nominal + wp.cross(spin, wp.cross(spin, c.lever))
-    now = lane_vec(touch.velocity[row, i], lane_) + wp.cross(spin, c.lever)
+    now = lane_vec(touch.velocity[row, i], piece.lane) + wp.cross(spin, c.lever)
     c.branch = now + h * nominal
     approach = now
     if body >= 0:
-        approach = approach - point_velocity(w, k, body, point, v)
+        approach = approach - point_velocity(w, k, body, point, k.velocity[w])
     add_contact(w, rule, meet(c, rule, w, approach, h))
 
 
@@ -158,9 +200,8 @@ def find_branch_contacts(
     speed = touch.near[row, arms + 2].x
     for c in range(shapes.count[e]):
         i = shapes.link[e, c]
-        pose = s.pose[row, i]
         spin = s.spin[row, i]
-        middle = rotate(pose, shapes.middle[e, c])
+        middle = rotate(s.pose[row, i], shapes.middle[e, c])
         bound = shapes.bound[e, c]
         centre = touch.at[row, i] + middle
         v = add_cross(touch.velocity[row, i], spin, middle)
@@ -172,15 +213,10 @@ def find_branch_contacts(
                 far = reach + real(rule.arm_bound[j], bound)
                 verdict = dot(d, d) - far * far
                 if any_neg(verdict):
-                    half = rotate(pose, shapes.half[e, c])
                     for lane_ in range(width):
                         if lane_neg(verdict, lane_):
-                            w = slot_world[e * width + lane_]
-                            if w >= 0:
-                                margin = lane(reach, lane_) - lane(bound, lane_)
-                                meet_arm(w, row, lane_, i, shapes.slot_capsule[e * width + lane_, c], j,
-                                         lane_vec(centre, lane_), lane_vec(half, lane_),
-                                         lane(shapes.radius[e, c], lane_), margin, a, k, rule, s, touch, h)  # fmt: skip
+                            piece = piece_of(e, row, width, lane_, c, slot_world, shapes, s, centre, reach)
+                            meet_arm(piece, row, j, a, k, rule, s, touch, h)
         if with_line == 1:
             d = centre - touch.near[row, arms]
             along = touch.near[row, arms + 1]
@@ -188,81 +224,58 @@ def find_branch_contacts(
             far = reach + real(rule.line_radius, bound)
             verdict = dot(off, off) - far * far
             if any_neg(verdict):
-                half = rotate(pose, shapes.half[e, c])
                 for lane_ in range(width):
                     if lane_neg(verdict, lane_):
-                        w = slot_world[e * width + lane_]
-                        if w >= 0:
-                            margin = lane(reach, lane_) - lane(bound, lane_)
-                            meet_line(w, row, lane_, i, shapes.slot_capsule[e * width + lane_, c],
-                                      lane_vec(centre, lane_), lane_vec(half, lane_),
-                                      lane(shapes.radius[e, c], lane_), margin, k, rule, s, touch, h)  # fmt: skip
+                        piece = piece_of(e, row, width, lane_, c, slot_world, shapes, s, centre, reach)
+                        meet_line(piece, row, k, rule, s, touch, h)
         if rule.has_ground == 1:
             verdict = centre.z - real(rule.ground, bound) - reach
             if any_neg(verdict):
-                half = rotate(pose, shapes.half[e, c])
                 for lane_ in range(width):
                     if lane_neg(verdict, lane_):
-                        w = slot_world[e * width + lane_]
-                        if w >= 0:
-                            margin = lane(reach, lane_) - lane(bound, lane_)
-                            p = lane_vec(centre, lane_)
-                            along_ = lane_vec(half, lane_)
-                            radius = lane(shapes.radius[e, c], lane_)
-                            capsule = shapes.slot_capsule[e * width + lane_, c]
-                            meet_ground(w, row, lane_, i, capsule, p - along_, radius, margin, k, rule, s, touch, h)
-                            meet_ground(w, row, lane_, i, capsule, p + along_, radius, margin, k, rule, s, touch, h)
+                        piece = piece_of(e, row, width, lane_, c, slot_world, shapes, s, centre, reach)
+                        meet_ground(piece, piece.middle - piece.half, row, k, rule, s, touch, h)
+                        meet_ground(piece, piece.middle + piece.half, row, k, rule, s, touch, h)
 
 
 @wp.func
 def meet_arm(
-    w: int, row: int, lane_: int, i: int, capsule: int, j: int, middle: wp.vec3, half: wp.vec3, radius: float,
-    margin: float, a: Any, k: Any, rule: ContactRule, s: Any, touch: Any, h: float,
+    piece: Piece, row: int, j: int, a: Any, k: Any, rule: ContactRule, s: Any, touch: Any, h: float
 ):  # fmt: skip
     """A branch's capsule against one of the arm's."""
-    if capsule >= 0:
-        gap, normal, point = crossing(
-            middle - half, middle + half, k.start[w, j], k.end[w, j], radius + a.shape_radius[j]
-        )
-        if gap < margin:
+    w = piece.world
+    if w >= 0:
+        gap, normal, point = crossing(piece.middle - piece.half, piece.middle + piece.half, k.start[w, j], k.end[w, j],
+                                      piece.radius + a.shape_radius[j])  # fmt: skip
+        if gap < piece.reach:
             body = a.shape_link[j]
             if body < 0:
                 body = BASE
             on_surface = point + normal * (a.shape_radius[j] + 0.5 * gap)
-            add_branch_contact(
-                w, row, lane_, i, capsule, body, gap, normal, on_surface, k, rule, s, touch, k.velocity[w], h
-            )
+            add_branch_contact(piece, row, body, gap, normal, on_surface, k, rule, s, touch, h)
 
 
 @wp.func
-def meet_line(
-    w: int, row: int, lane_: int, i: int, capsule: int, middle: wp.vec3, half: wp.vec3, radius: float, margin: float,
-    k: Any, rule: ContactRule, s: Any, touch: Any, h: float,
-):  # fmt: skip
+def meet_line(piece: Piece, row: int, k: Any, rule: ContactRule, s: Any, touch: Any, h: float):
     """A branch's capsule against the line, in the worlds whose mask lets them touch."""
-    if capsule >= 0:
+    w = piece.world
+    if w >= 0:
         if rule.line_mask[w] == 1:
-            gap, normal, point = crossing(
-                middle - half, middle + half, rule.line_start[w], rule.line_end[w], radius + rule.line_radius
-            )
-            if gap < margin:
+            gap, normal, point = crossing(piece.middle - piece.half, piece.middle + piece.half, rule.line_start[w],
+                                          rule.line_end[w], piece.radius + rule.line_radius)  # fmt: skip
+            if gap < piece.reach:
                 on_surface = point + normal * (rule.line_radius + 0.5 * gap)
-                add_branch_contact(
-                    w, row, lane_, i, capsule, LINE, gap, normal, on_surface, k, rule, s, touch, k.velocity[w], h
-                )
+                add_branch_contact(piece, row, LINE, gap, normal, on_surface, k, rule, s, touch, h)
 
 
 @wp.func
 def meet_ground(
-    w: int, row: int, lane_: int, i: int, capsule: int, end: wp.vec3, radius: float, margin: float, k: Any,
-    rule: ContactRule, s: Any, touch: Any, h: float,
+    piece: Piece, end: wp.vec3, row: int, k: Any, rule: ContactRule, s: Any, touch: Any, h: float
 ):  # fmt: skip
     """One end of a branch's capsule against the ground."""
-    if capsule >= 0:
-        gap = end[2] - radius - rule.ground
-        if gap < margin:
+    if piece.world >= 0:
+        gap = end[2] - piece.radius - rule.ground
+        if gap < piece.reach:
             point = wp.vec3(end[0], end[1], rule.ground + 0.5 * gap)
-            add_branch_contact(
-                w, row, lane_, i, capsule, GROUND, gap, wp.vec3(0.0, 0.0, 1.0), point, k, rule, s, touch,
-                k.velocity[w], h,
-            )  # fmt: skip
+            up = wp.vec3(0.0, 0.0, 1.0)
+            add_branch_contact(piece, row, GROUND, gap, up, point, k, rule, s, touch, h)

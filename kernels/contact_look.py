@@ -8,7 +8,8 @@ import warp as wp
 from .algebra import add, rotate, sub
 from .arm import arm_types
 from .articulated import place_links, place_root
-from .contact import contact_types, lane_vec, locate_joints
+from .contact import contact_types, lane_vec
+from .observe import locate_joints
 from .real import SOURCE
 
 __all__ = ["capsule_kernel"]
@@ -32,7 +33,7 @@ def capsule_kernel(width: int, dof: int) -> Any:
         r = wp.where(row < 0, e, row)
         place_root(e, r, m, s_out)
         place_links(e, r, m, x_in, s_out)
-        locate_joints(e, r, m, s_out, touch_out)
+        locate_joints(e, r, m, s_out, touch_out.at, touch_out.velocity)
         arms = k_in.start.shape[1]
         for c in range(shapes.count[e]):
             i = shapes.link[e, c]

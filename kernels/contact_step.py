@@ -17,13 +17,13 @@ from .contact import (
     impedance,
     judge,
     lane_vec,
-    locate_joints,
     mark_paths,
     respond,
     spring,
     stiffen,
 )
 from .contact_find import find_arm_contacts, find_branch_contacts, note_arm
+from .observe import locate_joints
 from .real import SOURCE
 
 __all__ = ["contact_step_kernel"]
@@ -175,7 +175,7 @@ def contact_step_kernel(width: int, dof: int) -> Any:
         for _k in range(substeps):
             place_root(e, r, m, s_out)
             place_links(e, r, m, x_in_out, s_out)
-            locate_joints(e, r, m, s_out, touch_out)
+            locate_joints(e, r, m, s_out, touch_out.at, touch_out.velocity)
             with_line = int(0)
             for lane_ in range(W):
                 w = slot_world[e * W + lane_]

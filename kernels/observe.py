@@ -17,22 +17,27 @@ from .real import SOURCE, fma, lane, real
 __all__ = ["energy_kernel", "pose_kernel", "probe_kernel"]
 
 
-@wp.func
-def locate_links(e: int, row: int, m: Any, x: Any, s: Any):
-    """Place all links and sum their offsets outward: joint points in world axes into ``s.accel``.
-
-    Velocities of the joint points follow, v = v_p + w_p x r (+ the slide's own), into ``s.alpha``.
-    """
-    place_root(e, row, m, s)
-    place_links(e, row, m, x, s)
+@wp.func(inline=True)
+def locate_joints(e: int, row: int, m: Any, s: Any, at_out: Any, velocity_out: Any):
+    """Sum the offsets of placed links outward: joint points in world axes, and v = v_p + w_p x r (+ slide)."""
+    at_out[row, 0] = s.spin[row, 0]
+    velocity_out[row, 0] = s.spin[row, 0]
     for i in range(1, m.count[e] + 1):
         p = m.parent[e, i]
         r = s.r[row, i]
-        s.accel[row, i] = s.accel[row, p] + r
-        v = add_cross(s.alpha[row, p], s.spin[row, p], r)
+        at_out[row, i] = at_out[row, p] + r
+        v = add_cross(velocity_out[row, p], s.spin[row, p], r)
         if m.kind[e, i] == PRISMATIC:
             v = v + s.relative[row, i]
-        s.alpha[row, i] = v
+        velocity_out[row, i] = v
+
+
+@wp.func
+def locate_links(e: int, row: int, m: Any, x: Any, s: Any):
+    """Place all links; joint points go into ``s.accel`` and their velocities into ``s.alpha``."""
+    place_root(e, row, m, s)
+    place_links(e, row, m, x, s)
+    locate_joints(e, row, m, s, s.accel, s.alpha)
 
 
 def _outputs(precision: int) -> tuple[Any, Any, Any]:

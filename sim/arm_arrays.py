@@ -49,7 +49,7 @@ class ArmArrays:
         self._field(self._state, "end_position", worlds, wp.vec3)
         self._field(self._state, "end_rotation", worlds, wp.vec4)
         for name, kind in (("pose", wp.quat), ("origin", wp.vec3), ("axis", wp.vec3), ("moment", wp.vec3),
-                           ("push", wp.vec3)):  # fmt: skip
+                           ("push", wp.vec3), ("first", wp.vec3), ("tensor", wp.mat33)):  # fmt: skip
             self._field(self._work, name, (worlds, n), kind)
         for name in ("start", "end"):
             self._field(self._work, name, (worlds, capsules), wp.vec3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 import warp as wp
@@ -42,16 +42,16 @@ class Rupture:
 
     def judge(self) -> None:
         """Break the joints whose springs pass their strength."""
-        m = self._model
         fields = [self._stiffness.entries(), self._damping.entries()]
-        inputs = [*self._where, self._state.coordinate.entries(), self._strength, *fields, self._broken,
-                  self._state.kernel]  # fmt: skip
-        wp.launch(rupture_kernels(m.width)[0], dim=m.groups * m.width, inputs=inputs, device=m.device)
+        inputs = [*self._where, self._state.coordinate.entries(), self._strength, *fields, self._broken]
+        self._launch(rupture_kernels(self._model.width)[0], inputs)
 
     def heal(self, mask: wp.array) -> None:
         """Make the joints of the masked worlds (bool, [worlds]) whole again."""
-        m = self._model
         stored = [self._whole.entries(), self._damped.entries()]
         fields = [self._stiffness.entries(), self._damping.entries()]
-        inputs = [mask, *self._where, self._state.kernel, *stored, *fields, self._broken]
-        wp.launch(rupture_kernels(m.width)[1], dim=m.groups * m.width, inputs=inputs, device=m.device)
+        self._launch(rupture_kernels(self._model.width)[1], [mask, *self._where, *stored, *fields, self._broken])
+
+    def _launch(self, kernel: Any, inputs: list[Any]) -> None:
+        m = self._model
+        wp.launch(kernel, dim=(m.groups * m.width, m.places), inputs=inputs, device=m.device)
