@@ -174,6 +174,12 @@ def dot(a: Any, b: Any):
 
 
 @wp.func
+def spread(v: wp.vec3, like: Any):
+    """The vector v in all worlds of the group, of the type of ``like``."""
+    return type(like)(real(v[0], like.x), real(v[1], like.x), real(v[2], like.x))
+
+
+@wp.func
 def cross(a: Any, b: Any):
     return type(a)(fnma(a.z, b.y, a.y * b.z), fnma(a.x, b.z, a.z * b.x), fnma(a.y, b.x, a.x * b.y))
 

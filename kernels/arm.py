@@ -1,4 +1,4 @@
-"""A serial arm of revolute joints under velocity control, one scalar solve a world.
+"""A serial arm of revolute joints under velocity control: placed in lanes, solved world by world.
 
 All spatial quantities are about the world's origin, in world axes. With S_j = (z_j, s_j), s_j = p_j x z_j, for a joint
 at p_j with axis z_j, the joint-space inertia is (composite rigid bodies; Featherstone, Rigid Body Dynamics Algorithms,
@@ -6,14 +6,14 @@ at p_j with axis z_j, the joint-space inertia is (composite rigid bodies; Feathe
 
     M_ij = S_i . I_j^c S_j   (i <= j),   I^c the inertia of the links from j outward
 
-and a step of length h is implicit in the servo, the joints' friction, the stops and contacts with what does not move:
+and a step of length h is implicit in the servo, the joints' friction and the stops:
 
-    (M + R + h D + h sum J^T W J) v' = (M + R) v + h (tau_0 - b - g + Q + sum J^T F)
+    A v' = (M + R) v + h (tau_0 - b - g + sum J^T f),   A = M + R + h D = L L^T
     tau = g + D (v* - v')   within +-tau_max
 
 R the reflected rotor inertia, b the velocity products, g the torque that carries the weight (the servo knows it). A
-joint whose torque would leave its limit gives the limit, and its D does not count. Q are the forces of the branches,
-known from their own solve (`contact`).
+joint whose torque would leave its limit gives the limit, and its D does not count. f are the contacts' forces, which
+are found together with those of the branches (`contact_space`).
 """
 
 from functools import cache
@@ -22,7 +22,23 @@ from typing import Any
 
 import warp as wp
 
-__all__ = ["arm_functions", "arm_types"]
+from .algebra import (
+    about_axis,
+    add,
+    add_cross,
+    add_scaled,
+    cross,
+    dot,
+    mul,
+    renormalised,
+    rotate,
+    spread,
+    sub,
+    types_of,
+)
+from .real import real
+
+__all__ = ["arm_functions", "arm_lanes", "arm_types"]
 
 #: Stiffness [N m/rad] and damping [N m s/rad] of the joints' stops.
 STOP = wp.constant(2.0e4)
@@ -85,121 +101,214 @@ def arm_types(dof: int) -> SimpleNamespace:
 
     @wp.struct
     class ArmWork:
-        pose: wp.array2d(dtype=wp.quat)
         origin: wp.array2d(dtype=wp.vec3)
         axis: wp.array2d(dtype=wp.vec3)
-        moment: wp.array2d(dtype=wp.vec3)
-        push: wp.array2d(dtype=wp.vec3)
-        first: wp.array2d(dtype=wp.vec3)
-        tensor: wp.array2d(dtype=wp.mat33)
-        start: wp.array2d(dtype=wp.vec3)
-        end: wp.array2d(dtype=wp.vec3)
         inertia: wp.array(dtype=Square)
         factor: wp.array(dtype=Square)
         bias: wp.array(dtype=Row)
         weight: wp.array(dtype=Row)
-        load: wp.array(dtype=Row)
         velocity: wp.array(dtype=Row)
         held: wp.array(dtype=Row)
-        loose: wp.array(dtype=int)
-        settled: wp.array(dtype=int)
 
     return SimpleNamespace(Arm=Arm, ArmState=ArmState, ArmWork=ArmWork, Row=Row, Square=Square)
 
 
+@cache
+def arm_lanes(width: int) -> Any:
+    """Return ``ArmLanes``, where a thread places the arms of its group's worlds: a real a world, [rows, dof].
+
+    ``start`` and ``end`` are the capsules' ends [rows, capsules], ``inertia`` [rows, dof x dof]; ``tensor`` and ``first``
+    a link's inertia about the world's origin and its mass times centre, ``moment`` and ``push`` what its velocity
+    products need.
+    """
+    t = types_of(width, 32)
+    Real, Vec, Quat, Sym = t.Real, t.Vec, t.Quat, t.Sym
+
+    @wp.struct
+    class ArmLanes:
+        q: wp.array2d(dtype=Real)
+        qd: wp.array2d(dtype=Real)
+        pose: wp.array2d(dtype=Quat)
+        origin: wp.array2d(dtype=Vec)
+        axis: wp.array2d(dtype=Vec)
+        slide: wp.array2d(dtype=Vec)
+        start: wp.array2d(dtype=Vec)
+        end: wp.array2d(dtype=Vec)
+        first: wp.array2d(dtype=Vec)
+        tensor: wp.array2d(dtype=Sym)
+        push: wp.array2d(dtype=Vec)
+        moment: wp.array2d(dtype=Vec)
+        inertia: wp.array2d(dtype=Real)
+        bias: wp.array2d(dtype=Real)
+        weight: wp.array2d(dtype=Real)
+        q_entry: wp.array4d(dtype=wp.float32)
+        qd_entry: wp.array4d(dtype=wp.float32)
+        pose_entry: wp.array4d(dtype=wp.float32)
+        origin_entry: wp.array4d(dtype=wp.float32)
+        axis_entry: wp.array4d(dtype=wp.float32)
+        start_entry: wp.array4d(dtype=wp.float32)
+        end_entry: wp.array4d(dtype=wp.float32)
+        inertia_entry: wp.array4d(dtype=wp.float32)
+        bias_entry: wp.array4d(dtype=wp.float32)
+        weight_entry: wp.array4d(dtype=wp.float32)
+
+    return ArmLanes
+
+
 @wp.func(inline=True)
-def place_arm(w: int, a: Any, q_in: Any, k: Any):
+def entry_vec(entry_in: wp.array4d(dtype=wp.float32), row: int, i: int, lane_: int):
+    """A vector of one world of the group."""
+    return wp.vec3(entry_in[row, i, 0, lane_], entry_in[row, i, 1, lane_], entry_in[row, i, 2, lane_])
+
+
+@wp.func(inline=True)
+def place_arms(row: int, a: Any, g: Any):
     """Place every link: p_j = p_{j-1} + R_{j-1} o_j,  R_j = R_{j-1} T_j exp(axis q_j); and the ends of its capsules."""
-    origin = wp.vec3(0.0, 0.0, 0.0)
-    pose = wp.quat(0.0, 0.0, 0.0, 1.0)
+    like = g.q[row, 0]
+    o = real(0.0, like)
+    origin = type(g.origin[row, 0])(o, o, o)
+    pose = type(g.pose[row, 0])(real(1.0, o), o, o, o)
     for j in range(a.mass.shape[0]):
-        origin = origin + wp.quat_rotate(pose, a.position[j])
-        pose = wp.normalize(pose * a.rotation[j] * wp.quat_from_axis_angle(a.axis[j], q_in[w, j]))
-        k.origin[w, j] = origin
-        k.pose[w, j] = pose
-        k.axis[w, j] = wp.quat_rotate(pose, a.axis[j])
+        origin = origin + rotate(pose, spread(a.position[j], origin))
+        turn = a.rotation[j]
+        axis = spread(a.axis[j], origin)
+        pose = pose * type(pose)(real(turn[3], o), real(turn[0], o), real(turn[1], o), real(turn[2], o))
+        pose = renormalised(pose * about_axis(axis, g.q[row, j], pose))
+        axis = rotate(pose, axis)
+        g.origin[row, j] = origin
+        g.pose[row, j] = pose
+        g.axis[row, j] = axis
+        g.slide[row, j] = cross(origin, axis)
     for c in range(a.shape_link.shape[0]):
         j = a.shape_link[c]
-        if j < 0:
-            k.start[w, c] = a.shape_start[c]
-            k.end[w, c] = a.shape_end[c]
-        else:
-            k.start[w, c] = k.origin[w, j] + wp.quat_rotate(k.pose[w, j], a.shape_start[c])
-            k.end[w, c] = k.origin[w, j] + wp.quat_rotate(k.pose[w, j], a.shape_end[c])
+        start = spread(a.shape_start[c], origin)
+        end = spread(a.shape_end[c], origin)
+        if j >= 0:
+            start = g.origin[row, j] + rotate(g.pose[row, j], start)
+            end = g.origin[row, j] + rotate(g.pose[row, j], end)
+        g.start[row, c] = start
+        g.end[row, c] = end
 
 
 @wp.func(inline=True)
-def inertia_about_origin(mass: float, c: wp.vec3, about_com: wp.mat33):
-    """I + m (|c|^2 1 - c c^T)"""
-    return about_com + mass * (wp.dot(c, c) * wp.identity(n=3, dtype=wp.float32) - wp.outer(c, c))
+def inertia_about_origin(pose: Any, about_com: wp.mat33, mass: Any, c: Any, like: Any):
+    """R I R^T + m (|c|^2 1 - c c^T)"""
+    o = real(0.0, mass)
+    one = real(1.0, mass)
+    ex = rotate(pose, type(c)(one, o, o))
+    ey = rotate(pose, type(c)(o, one, o))
+    ez = cross(ex, ey)
+    tx = ex * about_com[0, 0] + ey * about_com[0, 1] + ez * about_com[0, 2]
+    ty = ex * about_com[0, 1] + ey * about_com[1, 1] + ez * about_com[1, 2]
+    tz = ex * about_com[0, 2] + ey * about_com[1, 2] + ez * about_com[2, 2]
+    mc = c * mass
+    far = dot(mc, c)
+    return type(like)(
+        tx.x * ex.x + ty.x * ey.x + tz.x * ez.x + (far - mc.x * c.x),
+        tx.x * ex.y + ty.x * ey.y + tz.x * ez.y - mc.x * c.y,
+        tx.x * ex.z + ty.x * ey.z + tz.x * ez.z - mc.x * c.z,
+        tx.y * ex.y + ty.y * ey.y + tz.y * ez.y + (far - mc.y * c.y),
+        tx.y * ex.z + ty.y * ey.z + tz.y * ez.z - mc.y * c.z,
+        tx.z * ex.z + ty.z * ey.z + tz.z * ez.z + (far - mc.z * c.z),
+    )
 
 
 @wp.func(inline=True)
-def velocity_forces(w: int, a: Any, x: Any, k: Any):
+def velocity_forces(row: int, a: Any, g: Any):
     """Every link's inertia about the origin, and the forces that velocity products need of it.
 
     f = m ao + aw x mc + w x P,  n = I aw + mc x ao + w x H + vo x P
     """
-    spin = wp.vec3(0.0, 0.0, 0.0)
-    slide = wp.vec3(0.0, 0.0, 0.0)
-    turning = wp.vec3(0.0, 0.0, 0.0)
-    sliding = wp.vec3(0.0, 0.0, 0.0)
+    o = real(0.0, g.q[row, 0])
+    spin = type(g.origin[row, 0])(o, o, o)
+    slide = type(spin)(o, o, o)
+    turning = type(spin)(o, o, o)
+    sliding = type(spin)(o, o, o)
     for j in range(a.mass.shape[0]):
-        z = k.axis[w, j]
-        s = wp.cross(k.origin[w, j], z)
-        rate = x.qd[w, j]
-        turning = turning + wp.cross(spin, z) * rate
-        sliding = sliding + (wp.cross(spin, s) + wp.cross(slide, z)) * rate
-        spin = spin + z * rate
-        slide = slide + s * rate
-        m = a.mass[j]
-        R = wp.quat_to_matrix(k.pose[w, j])
-        c = k.origin[w, j] + R * a.com[j]
-        tensor = inertia_about_origin(m, c, R * a.inertia[j] * wp.transpose(R))
-        first = m * c
-        k.first[w, j] = first
-        k.tensor[w, j] = tensor
-        P = m * slide + wp.cross(spin, first)
-        H = tensor * spin + wp.cross(first, slide)
-        k.push[w, j] = m * sliding + wp.cross(turning, first) + wp.cross(spin, P)
-        k.moment[w, j] = tensor * turning + wp.cross(first, sliding) + wp.cross(spin, H) + wp.cross(slide, P)
+        z = g.axis[row, j]
+        s = g.slide[row, j]
+        rate = g.qd[row, j]
+        turning = add_scaled(turning, cross(spin, z), rate)
+        sliding = add_scaled(sliding, add_cross(cross(spin, s), slide, z), rate)
+        spin = add_scaled(spin, z, rate)
+        slide = add_scaled(slide, s, rate)
+        m = real(a.mass[j], o)
+        pose = g.pose[row, j]
+        c = g.origin[row, j] + rotate(pose, spread(a.com[j], spin))
+        tensor = inertia_about_origin(pose, a.inertia[j], m, c, g.tensor[row, j])
+        first = c * m
+        P = add_cross(slide * m, spin, first)
+        H = add_cross(tensor * spin, first, slide)
+        g.first[row, j] = first
+        g.tensor[row, j] = tensor
+        g.push[row, j] = add_cross(add_cross(sliding * m, turning, first), spin, P)
+        g.moment[row, j] = add_cross(add_cross(add_cross(tensor * turning, first, sliding), spin, H), slide, P)
 
 
 @wp.func(inline=True)
-def arm_dynamics(w: int, a: Any, x: Any, k: Any):
+def arm_dynamics(row: int, a: Any, g: Any):
     """Joint-space inertia M, velocity products b and the torques that carry the weight, from the last joint inward."""
-    velocity_forces(w, a, x, k)
-    mass = float(0.0)
-    first = wp.vec3(0.0, 0.0, 0.0)
-    tensor = wp.mat33()
-    push = wp.vec3(0.0, 0.0, 0.0)
-    moment = wp.vec3(0.0, 0.0, 0.0)
+    velocity_forces(row, a, g)
+    n = a.mass.shape[0]
+    last = n - 1
+    o = real(0.0, g.q[row, 0])
+    mass = o
+    first = g.first[row, last]
+    tensor = g.tensor[row, last]
+    push = g.push[row, last]
+    moment = g.moment[row, last]
+    gravity = spread(a.gravity, first)
+    for step in range(n):
+        j = last - step
+        mass = mass + real(a.mass[j], o)
+        if step > 0:
+            first = first + g.first[row, j]
+            tensor = tensor + g.tensor[row, j]
+            push = push + g.push[row, j]
+            moment = moment + g.moment[row, j]
+        z = g.axis[row, j]
+        s = g.slide[row, j]
+        P = add_cross(s * mass, z, first)
+        H = add_cross(tensor * z, first, s)
+        g.bias[row, j] = dot(z, moment) + dot(s, push)
+        g.weight[row, j] = o - dot(z, cross(first, gravity)) - mass * dot(s, gravity)
+        for i in range(j + 1):
+            entry = dot(g.axis[row, i], H) + dot(g.slide[row, i], P)
+            if i == j:
+                entry = entry + real(a.armature[j], o)
+            g.inertia[row, i * n + j] = entry
+            g.inertia[row, j * n + i] = entry
+
+
+@wp.func(inline=True)
+def place_group(e: int, row: int, width: int, slot_world: wp.array(dtype=int), a: Any, x: Any, g: Any):
+    """Place the arms of a group's worlds."""
+    for lane_ in range(width):
+        w = slot_world[e * width + lane_]
+        if w >= 0:
+            for j in range(a.mass.shape[0]):
+                g.q_entry[row, j, 0, lane_] = x.q[w, j]
+                g.qd_entry[row, j, 0, lane_] = x.qd[w, j]
+    place_arms(row, a, g)
+
+
+@wp.func(inline=True)
+def take_arm(w: int, row: int, lane_: int, k: Any, g: Any):
+    """Copy what was found for one world out of its lane."""
     M = k.inertia[w]
     b = k.bias[w]
-    g = k.weight[w]
-    n = a.mass.shape[0]
-    for step in range(n):
-        j = n - 1 - step
-        mass += a.mass[j]
-        first += k.first[w, j]
-        tensor += k.tensor[w, j]
-        push += k.push[w, j]
-        moment += k.moment[w, j]
-        z = k.axis[w, j]
-        s = wp.cross(k.origin[w, j], z)
-        P = mass * s + wp.cross(z, first)
-        H = tensor * z + wp.cross(first, s)
-        b[j] = wp.dot(z, moment) + wp.dot(s, push)
-        g[j] = 0.0 - wp.dot(z, wp.cross(first, a.gravity)) - mass * wp.dot(s, a.gravity)
-        for i in range(j + 1):
-            zi = k.axis[w, i]
-            entry = wp.dot(zi, H) + wp.dot(wp.cross(k.origin[w, i], zi), P)
-            M[i, j] = entry
-            M[j, i] = entry
-        M[j, j] = M[j, j] + a.armature[j]
+    weight = k.weight[w]
+    n = k.origin.shape[1]
+    for j in range(n):
+        k.origin[w, j] = entry_vec(g.origin_entry, row, j, lane_)
+        k.axis[w, j] = entry_vec(g.axis_entry, row, j, lane_)
+        b[j] = g.bias_entry[row, j, 0, lane_]
+        weight[j] = g.weight_entry[row, j, 0, lane_]
+        for i in range(n):
+            M[i, j] = g.inertia_entry[row, i * n + j, 0, lane_]
     k.inertia[w] = M
     k.bias[w] = b
-    k.weight[w] = g
+    k.weight[w] = weight
 
 
 @wp.func(inline=True)
@@ -217,18 +326,9 @@ def point_velocity(w: int, k: Any, link: int, point: wp.vec3, v: Any):
     return out
 
 
-@wp.func(inline=True)
-def add_point_force(w: int, k: Any, link: int, point: wp.vec3, force: wp.vec3):
-    """Q += J^T f of a force at a point of a link."""
-    Q = k.load[w]
-    for j in range(link + 1):
-        Q[j] = Q[j] + wp.dot(lever(w, k, j, point), force)
-    k.load[w] = Q
-
-
 @cache
 def arm_functions(dof: int) -> SimpleNamespace:
-    """Return device functions whose matrices have the arm's size: ``solve_arm``, ``compliance`` and ``finish_arm``."""
+    """Return device functions whose matrices have the arm's size."""
     types = arm_types(dof)
     Row, Square = types.Row, types.Square
     Tall = wp.types.matrix((dof, 3), wp.float32)
@@ -266,114 +366,85 @@ def arm_functions(dof: int) -> SimpleNamespace:
         return y
 
     @wp.func(inline=True)
-    def jacobian(w: int, k: Any, link: int, other: int, point: wp.vec3) -> Tall:
-        """Velocity of a link's point against that of another link (or of what does not move, -1), a row a joint."""
+    def response(w: int, k: Any, link: int, other: int, point: wp.vec3, sign: float, frame: wp.mat33) -> Any:
+        """J^T and L^-1 J^T of a link's point against another link's (or what does not move, -1), in a contact's frame."""
         J = Tall()
+        Y = Tall()
+        L = k.factor[w]
         for j in range(dof):
-            c = wp.vec3(0.0, 0.0, 0.0)
+            y = wp.vec3(0.0, 0.0, 0.0)
             if j <= link:
                 if j > other:
-                    c = lever(w, k, j, point)
-            J[j, 0] = c[0]
-            J[j, 1] = c[1]
-            J[j, 2] = c[2]
-        return J
-
-    @wp.func
-    def compliance(w: int, k: Any, link: int, point: wp.vec3) -> wp.mat33:
-        """J A^-1 J^T of a point of a link: what it yields to an impulse [1/kg]."""
-        J = jacobian(w, k, link, -1, point)
-        L = k.factor[w]
-        Y = Tall()
-        C = wp.mat33()
-        for i in range(dof):
-            y = wp.vec3(J[i, 0], J[i, 1], J[i, 2])
-            for m in range(i):
-                y = y - wp.vec3(Y[m, 0], Y[m, 1], Y[m, 2]) * L[i, m]
-            y = y * L[i, i]
-            Y[i, 0] = y[0]
-            Y[i, 1] = y[1]
-            Y[i, 2] = y[2]
-            C = C + wp.outer(y, y)
-        return C
+                    y = frame * (lever(w, k, j, point) * sign)
+            J[j] = y
+            for m in range(j):
+                y = y - Y[m] * L[j, m]
+            Y[j] = y * L[j, j]
+        return J, Y
 
     @wp.func(inline=True)
-    def push_back(J: Tall, W: wp.mat33, A: Square, h: float) -> Square:
-        """A + h J^T W J of a contact with something that does not move, or with another link of the arm."""
-        for i in range(dof):
-            WJ = W * wp.vec3(J[i, 0], J[i, 1], J[i, 2])
-            for j in range(dof):
-                A[i, j] = A[i, j] + h * wp.dot(wp.vec3(J[j, 0], J[j, 1], J[j, 2]), WJ)
-        return A
-
-    @wp.func(inline=True)
-    def solve_arm(w: int, a: Any, x: Any, k: Any, contact_in: Any, count: int, h: float):
-        """Velocities after the step under the present contact forces; the joints at their torque limit are found."""
-        M = k.inertia[w]
+    def free_arm(w: int, a: Any, x: Any, k: Any, h: float):
+        """Velocities after the step without contact, for the present set of joints at their torque limit; and L."""
+        A = k.inertia[w]
         b = k.bias[w]
-        Q = k.load[w]
-        base = M
-        right = Row()
-        for i in range(dof):
-            total = h * (Q[i] - b[i])
-            for j in range(dof):
-                total += M[i, j] * x.qd[w, j]
-            right[i] = total
-        for n in range(count):
-            c = contact_in[w, n]
-            if c.link == 0:
-                if c.active == 1:
-                    J = jacobian(w, k, c.body, c.other, c.point)
-                    base = push_back(J, c.impedance, base, h)
-                    for i in range(dof):
-                        right[i] = right[i] + h * wp.dot(wp.vec3(J[i, 0], J[i, 1], J[i, 2]), c.drive)
-        for j in range(dof):
-            resisting = a.damping[j] + a.friction[j] / wp.max(wp.abs(x.qd[w, j]), CREEP)
-            base[j, j] = base[j, j] + h * resisting
         g = k.weight[w]
         held = k.held[w]
-        v = Row()
-        L = Square()
-        changed = int(1)
-        for attempt in range(TRIES):
-            if changed == 1:
-                A = base
-                r = right
-                for j in range(dof):
-                    if held[j] == 0.0:
-                        A[j, j] = A[j, j] + h * a.gain[j]
-                        r[j] = r[j] + h * a.gain[j] * command(w, a, x, j, h)
-                    else:
-                        r[j] = r[j] + h * (held[j] * a.torque_limit[j] - g[j])
-                    over = beyond(x.q[w, j], a.lower[j], a.upper[j])
-                    if over != 0.0:
-                        A[j, j] = A[j, j] + h * (h * STOP + STOP_DAMPING)
-                        r[j] = r[j] - h * STOP * over
-                L = cholesky(A)
-                v = solved(L, r)
-                changed = int(0)
-                for j in range(dof):
-                    wanted = servo(w, a, x, j, g[j], v[j], h)
-                    limited = float(0.0)
-                    if wanted > a.torque_limit[j]:
-                        limited = 1.0
-                    if wanted < 0.0 - a.torque_limit[j]:
-                        limited = -1.0
-                    if limited != held[j]:
-                        # from one limit to the other by way of the servo: a light joint would be thrown to and fro
-                        held[j] = wp.where(limited * held[j] < 0.0, 0.0, limited)
-                        if attempt < TRIES - 1:
-                            changed = 1
-        k.held[w] = held
-        k.velocity[w] = v
-        # A joint at its limit yields far more than one under its servo. Once one was there in this step, contacts
-        # count on an arm that no servo holds: that much it never yields, so that their exchange converges.
+        r = Row()
+        for i in range(dof):
+            total = 0.0 - h * b[i]
+            for j in range(dof):
+                total += A[i, j] * x.qd[w, j]
+            r[i] = total
         for j in range(dof):
-            if held[j] != 0.0:
-                k.loose[w] = 1
-        if k.loose[w] == 1:
-            L = cholesky(base)
+            rest = a.damping[j] + a.friction[j] / wp.max(wp.abs(x.qd[w, j]), CREEP)
+            if held[j] == 0.0:
+                rest = rest + a.gain[j]
+                r[j] = r[j] + h * a.gain[j] * command(w, a, x, j, h)
+            else:
+                r[j] = r[j] + h * (held[j] * a.torque_limit[j] - g[j])
+            over = beyond(x.q[w, j], a.lower[j], a.upper[j])
+            if over != 0.0:
+                rest = rest + h * STOP + STOP_DAMPING
+                r[j] = r[j] - h * STOP * over
+            A[j, j] = A[j, j] + h * rest
+        L = cholesky(A)
         k.factor[w] = L
+        k.velocity[w] = solved(L, r)
+
+    @wp.func(inline=True)
+    def push_arm(w: int, k: Any, z: Row, h: float):
+        """v' += h A^-1 sum J^T f, with z = L^-1 sum J^T f."""
+        L = k.factor[w]
+        v = k.velocity[w]
+        y = Row()
+        for step in range(dof):
+            i = dof - 1 - step
+            total = z[i]
+            for m in range(i + 1, dof):
+                total -= L[m, i] * y[m]
+            y[i] = total * L[i, i]
+        k.velocity[w] = v + y * h
+
+    @wp.func(inline=True)
+    def judge_servos(w: int, a: Any, x: Any, k: Any, h: float) -> int:
+        """Correct which joints are at their torque limit; return whether that changed anything."""
+        g = k.weight[w]
+        v = k.velocity[w]
+        held = k.held[w]
+        changed = int(0)
+        for j in range(dof):
+            wanted = servo(w, a, x, j, g[j], v[j], h)
+            limited = float(0.0)
+            if wanted > a.torque_limit[j]:
+                limited = 1.0
+            if wanted < 0.0 - a.torque_limit[j]:
+                limited = -1.0
+            if limited != held[j]:
+                # from one limit to the other by way of the servo: a light joint would be thrown to and fro
+                held[j] = wp.where(limited * held[j] < 0.0, 0.0, limited)
+                changed = 1
+        k.held[w] = held
+        return changed
 
     @wp.func(inline=True)
     def finish_arm(w: int, a: Any, x: Any, k: Any, h: float):
@@ -399,7 +470,8 @@ def arm_functions(dof: int) -> SimpleNamespace:
         else:
             x.lost[w] = 1
 
-    return SimpleNamespace(solve_arm=solve_arm, compliance=compliance, finish_arm=finish_arm)
+    return SimpleNamespace(free_arm=free_arm, response=response, push_arm=push_arm, judge_servos=judge_servos,
+                           finish_arm=finish_arm)  # fmt: skip
 
 
 @wp.func(inline=True)
@@ -425,10 +497,12 @@ def servo(w: int, a: Any, x: Any, j: int, weight: float, speed: float, h: float)
     return weight + a.gain[j] * (command(w, a, x, j, h) - speed)
 
 
-@wp.func
-def end_pose(w: int, a: Any, x: Any, k: Any):
-    """Write the end-effector's pose."""
+@wp.func(inline=True)
+def end_pose(w: int, row: int, lane_: int, a: Any, x: Any, g: Any):
+    """Write the end-effector's pose of one world."""
     j = a.end_link
-    x.end_position[w] = k.origin[w, j] + wp.quat_rotate(k.pose[w, j], a.end_position)
-    q = k.pose[w, j] * a.end_rotation
+    pose = wp.quat(g.pose_entry[row, j, 1, lane_], g.pose_entry[row, j, 2, lane_], g.pose_entry[row, j, 3, lane_],
+                   g.pose_entry[row, j, 0, lane_])  # fmt: skip
+    x.end_position[w] = entry_vec(g.origin_entry, row, j, lane_) + wp.quat_rotate(pose, a.end_position)
+    q = pose * a.end_rotation
     x.end_rotation[w] = wp.vec4(q[3], q[0], q[1], q[2])

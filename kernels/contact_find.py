@@ -4,29 +4,39 @@ from typing import Any
 
 import warp as wp
 
-from .algebra import add, add_cross, cross, dot, mul, rotate, sub, sub_scaled
-from .arm import point_velocity
+from .algebra import add, add_cross, cross, dot, mul, rotate, sub, sub_scaled, vec3_of
+from .arm import entry_vec
 from .collide import nearest_on_segments
-from .contact import BASE, GROUND, LINE, Contact, ContactRule, add_contact, lane_vec, meet
-from .real import any_neg, fma, lane, lane_neg, real, sqrt_
+from .contact import BASE, GROUND, LINE, Contact, ContactRule, add_contact
+from .lanes import max_, min_
+from .real import any_neg, div, fma, lane, lane_neg, real, sqrt_
 
-__all__ = ["find_arm_contacts", "find_branch_contacts", "note_arm"]
+__all__ = ["find_arm_contacts", "find_branch_contacts", "note_arms", "note_line"]
 
 
 @wp.func(inline=True)
-def note_arm(w: int, row: int, lane_: int, a: Any, k: Any, rule: ContactRule, touch: Any, speed: float):
-    """Write down for the group's lanes where the arm's capsules and the line are, and how fast the arm may be."""
+def note_arms(row: int, a: Any, g: Any, touch: Any):
+    """Write down where the arms' capsules are: middle, half axis and 1 / |half axis|^2."""
     n = a.shape_link.shape[0]
     for c in range(n):
-        middle = 0.5 * (k.start[w, c] + k.end[w, c])
-        for axis in range(3):
-            touch.near_entry[row, c, axis, lane_] = middle[axis]
+        start = g.start[row, c]
+        half = (g.end[row, c] - start) * 0.5
+        length = max_(dot(half, half), real(1.0e-12, half.x))
+        inverse = real(1.0, length) / length
+        touch.near[row, c] = start + half
+        touch.near[row, n + 3 + c] = half
+        touch.near[row, 2 * n + 3 + c] = type(half)(inverse, inverse, inverse)
+
+
+@wp.func(inline=True)
+def note_line(w: int, row: int, lane_: int, arms: int, rule: ContactRule, touch: Any, speed: float):
+    """Write down for the group's lanes where the line is, and how fast the arm may be."""
     start = rule.line_start[w]
     along = wp.normalize(rule.line_end[w] - start)
     for axis in range(3):
-        touch.near_entry[row, n, axis, lane_] = start[axis]
-        touch.near_entry[row, n + 1, axis, lane_] = along[axis]
-        touch.near_entry[row, n + 2, axis, lane_] = speed
+        touch.near_entry[row, arms, axis, lane_] = start[axis]
+        touch.near_entry[row, arms + 1, axis, lane_] = along[axis]
+        touch.near_entry[row, arms + 2, axis, lane_] = speed
 
 
 @wp.func
@@ -51,34 +61,19 @@ def crossing(p: wp.vec3, p1: wp.vec3, q: wp.vec3, q1: wp.vec3, reach: float):
 
 
 @wp.func
-def add_arm_contact(
-    w: int,
-    k: Any,
-    rule: ContactRule,
-    link: int,
-    other: int,
-    gap: float,
-    normal: wp.vec3,
-    point: wp.vec3,
-    v: Any,
-    h: float,
-):
+def add_arm_contact(w: int, rule: ContactRule, link: int, other: int, gap: float, normal: wp.vec3, point: wp.vec3):
     """Keep a contact of the arm's link with the line or the ground (``other`` -1), or with another link."""
     c = Contact()
-    c.link = 0
     c.body = link
     c.other = other
     c.gap = gap
     c.normal = normal
     c.point = point
-    approach = point_velocity(w, k, link, point, v)
-    if other >= 0:
-        approach = approach - point_velocity(w, k, other, point, v)
-    add_contact(w, rule, meet(c, rule, w, approach, h))
+    add_contact(w, rule, c)
 
 
 @wp.func(inline=True)
-def find_arm_contacts(w: int, a: Any, k: Any, rule: ContactRule, v: Any, reach: float, h: float):
+def find_arm_contacts(w: int, row: int, lane_: int, a: Any, g: Any, rule: ContactRule, reach: float):
     """Find contacts of the arm with the line, the ground and itself, up to ``reach`` [m] away."""
     for i in range(a.shape_link.shape[0]):
         link = a.shape_link[i]
@@ -86,36 +81,37 @@ def find_arm_contacts(w: int, a: Any, k: Any, rule: ContactRule, v: Any, reach: 
         if link >= 0:
             if rule.arm_line == 1:
                 gap, normal, point = crossing(
-                    k.start[w, i], k.end[w, i], rule.line_start[w], rule.line_end[w], radius + rule.line_radius
-                )
+                    entry_vec(g.start_entry, row, i, lane_), entry_vec(g.end_entry, row, i, lane_),
+                    rule.line_start[w], rule.line_end[w], radius + rule.line_radius,
+                )  # fmt: skip
                 if gap < reach:
                     on_surface = point + normal * (rule.line_radius + 0.5 * gap)
-                    add_arm_contact(w, k, rule, link, -1, gap, normal, on_surface, v, h)
+                    add_arm_contact(w, rule, link, -1, gap, normal, on_surface)
             if rule.has_ground == 1:
                 if link > 0:
-                    ground_arm(w, k, rule, link, k.start[w, i], radius, v, reach, h)
-                    ground_arm(w, k, rule, link, k.end[w, i], radius, v, reach, h)
+                    ground_arm(w, rule, link, entry_vec(g.start_entry, row, i, lane_), radius, reach)
+                    ground_arm(w, rule, link, entry_vec(g.end_entry, row, i, lane_), radius, reach)
     if rule.arm_arm == 1:
         for p in range(a.pair.shape[0]):
             i = a.pair[p, 0]
             j = a.pair[p, 1]
             gap, normal, point = crossing(
-                k.start[w, j], k.end[w, j], k.start[w, i], k.end[w, i], a.shape_radius[i] + a.shape_radius[j]
-            )
+                entry_vec(g.start_entry, row, j, lane_), entry_vec(g.end_entry, row, j, lane_),
+                entry_vec(g.start_entry, row, i, lane_), entry_vec(g.end_entry, row, i, lane_),
+                a.shape_radius[i] + a.shape_radius[j],
+            )  # fmt: skip
             if gap < reach:
                 on_surface = point + normal * (a.shape_radius[i] + 0.5 * gap)
-                add_arm_contact(w, k, rule, a.shape_link[j], a.shape_link[i], gap, normal, on_surface, v, h)
+                add_arm_contact(w, rule, a.shape_link[j], a.shape_link[i], gap, normal, on_surface)
 
 
 @wp.func
-def ground_arm(
-    w: int, k: Any, rule: ContactRule, link: int, end: wp.vec3, radius: float, v: Any, reach: float, h: float
-):
+def ground_arm(w: int, rule: ContactRule, link: int, end: wp.vec3, radius: float, reach: float):
     """Find whether one end of a capsule of the arm touches the ground."""
     gap = end[2] - radius - rule.ground
     if gap < reach:
         point = wp.vec3(end[0], end[1], rule.ground + 0.5 * gap)
-        add_arm_contact(w, k, rule, link, -1, gap, wp.vec3(0.0, 0.0, 1.0), point, v, h)
+        add_arm_contact(w, rule, link, -1, gap, wp.vec3(0.0, 0.0, 1.0), point)
 
 
 # ---- branches ------------------------------------------------------------------------------------------------------
@@ -154,45 +150,53 @@ def piece_of(
     piece.capsule = shapes.slot_capsule[slot, c]
     if piece.capsule < 0:
         piece.world = -1
-    piece.middle = lane_vec(centre, lane_)
-    piece.half = lane_vec(rotate(s.pose[row, i], shapes.half[e, c]), lane_)
+    piece.middle = vec3_of(centre, lane_)
+    piece.half = vec3_of(rotate(s.pose[row, i], shapes.half[e, c]), lane_)
     piece.radius = lane(shapes.radius[e, c], lane_)
     piece.reach = lane(reach, lane_) - lane(shapes.bound[e, c], lane_)
     return piece
 
 
 @wp.func
+def nominal_velocity(row: int, lane_: int, i: int, lever: wp.vec3, s: Any, touch: Any, h: float):
+    """Velocity of a link's point after the step with joint accelerations zero; gravity is not in it."""
+    spin = vec3_of(s.spin[row, i], lane_)
+    nominal = vec3_of(s.accel0[row, i], lane_) - vec3_of(s.accel0[row, 0], lane_)
+    nominal = nominal + wp.cross(vec3_of(s.alpha0[row, i], lane_), lever) + wp.cross(spin, wp.cross(spin, lever))
+    return vec3_of(touch.velocity[row, i], lane_) + wp.cross(spin, lever) + h * nominal
+
+
+@wp.func
 def add_branch_contact(
-    piece: Piece, row: int, body: int, gap: float, normal: wp.vec3, point: wp.vec3, k: Any, rule: ContactRule, s: Any,
+    piece: Piece, row: int, body: int, gap: float, normal: wp.vec3, point: wp.vec3, rule: ContactRule, s: Any,
     touch: Any, h: float,
 ):  # fmt: skip
-    """Keep a contact of a branch, with its velocity at the end of the step if nothing touched it (nominal)."""
-    w = piece.world
-    i = piece.link
+    """Keep a contact of a branch with anything but a branch."""
     c = Contact()
-    c.link = i
+    c.link = piece.link
     c.capsule = piece.capsule
     c.body = body
     c.other = -1
     c.gap = gap
     c.normal = normal
     c.point = point
-    c.lever = point - lane_vec(touch.at[row, i], piece.lane)
-    spin = lane_vec(s.spin[row, i], piece.lane)
-    nominal = lane_vec(s.accel0[row, i], piece.lane) - lane_vec(s.accel0[row, 0], piece.lane)
-    nominal = nominal + wp.cross(lane_vec(s.alpha0[row, i], piece.lane), c.lever)
-    nominal = nominal + wp.cross(spin, wp.cross(spin, c.lever))
-    now = lane_vec(touch.velocity[row, i], piece.lane) + wp.cross(spin, c.lever)
-    c.branch = now + h * nominal
-    approach = now
-    if body >= 0:
-        approach = approach - point_velocity(w, k, body, point, k.velocity[w])
-    add_contact(w, rule, meet(c, rule, w, approach, h))
+    c.lever = point - vec3_of(touch.at[row, piece.link], piece.lane)
+    c.branch = nominal_velocity(row, piece.lane, piece.link, c.lever, s, touch, h)
+    add_contact(piece.world, rule, c)
+
+
+@wp.func(inline=True)
+def beside(d: Any, half: Any, inverse: Any, far: Any):
+    """Negative where a point, d from a segment's middle, is nearer to it than ``far``."""
+    one = real(1.0, far)
+    t = max_(real(-1.0, far), min_(one, dot(d, half) * inverse))
+    off = sub_scaled(d, half, t)
+    return dot(off, off) - far * far
 
 
 @wp.func(inline=True)
 def find_branch_contacts(
-    e: int, row: int, width: int, slot_world: wp.array(dtype=int), a: Any, k: Any, rule: ContactRule, shapes: Any,
+    e: int, row: int, width: int, slot_world: wp.array(dtype=int), a: Any, g: Any, rule: ContactRule, shapes: Any,
     s: Any, touch: Any, with_line: int, h: float,
 ):  # fmt: skip
     """Find contacts of all branches of a group, as far away as branch and arm may come in a step, lane by lane."""
@@ -213,10 +217,13 @@ def find_branch_contacts(
                 far = reach + real(rule.arm_bound[j], bound)
                 verdict = dot(d, d) - far * far
                 if any_neg(verdict):
-                    for lane_ in range(width):
-                        if lane_neg(verdict, lane_):
-                            piece = piece_of(e, row, width, lane_, c, slot_world, shapes, s, centre, reach)
-                            meet_arm(piece, row, j, a, k, rule, s, touch, h)
+                    verdict = beside(d, touch.near[row, arms + 3 + j], touch.near[row, 2 * arms + 3 + j].x,
+                                     reach + real(a.shape_radius[j], bound))  # fmt: skip
+                    if any_neg(verdict):
+                        for lane_ in range(width):
+                            if lane_neg(verdict, lane_):
+                                piece = piece_of(e, row, width, lane_, c, slot_world, shapes, s, centre, reach)
+                                meet_arm(piece, row, j, a, g, rule, s, touch, h)
         if with_line == 1:
             d = centre - touch.near[row, arms]
             along = touch.near[row, arms + 1]
@@ -227,36 +234,38 @@ def find_branch_contacts(
                 for lane_ in range(width):
                     if lane_neg(verdict, lane_):
                         piece = piece_of(e, row, width, lane_, c, slot_world, shapes, s, centre, reach)
-                        meet_line(piece, row, k, rule, s, touch, h)
+                        meet_line(piece, row, rule, s, touch, h)
         if rule.has_ground == 1:
             verdict = centre.z - real(rule.ground, bound) - reach
             if any_neg(verdict):
                 for lane_ in range(width):
                     if lane_neg(verdict, lane_):
                         piece = piece_of(e, row, width, lane_, c, slot_world, shapes, s, centre, reach)
-                        meet_ground(piece, piece.middle - piece.half, row, k, rule, s, touch, h)
-                        meet_ground(piece, piece.middle + piece.half, row, k, rule, s, touch, h)
+                        meet_ground(piece, piece.middle - piece.half, row, rule, s, touch, h)
+                        meet_ground(piece, piece.middle + piece.half, row, rule, s, touch, h)
 
 
 @wp.func
 def meet_arm(
-    piece: Piece, row: int, j: int, a: Any, k: Any, rule: ContactRule, s: Any, touch: Any, h: float
+    piece: Piece, row: int, j: int, a: Any, g: Any, rule: ContactRule, s: Any, touch: Any, h: float
 ):  # fmt: skip
     """A branch's capsule against one of the arm's."""
     w = piece.world
     if w >= 0:
-        gap, normal, point = crossing(piece.middle - piece.half, piece.middle + piece.half, k.start[w, j], k.end[w, j],
+        start = entry_vec(g.start_entry, row, j, piece.lane)
+        end = entry_vec(g.end_entry, row, j, piece.lane)
+        gap, normal, point = crossing(piece.middle - piece.half, piece.middle + piece.half, start, end,
                                       piece.radius + a.shape_radius[j])  # fmt: skip
         if gap < piece.reach:
             body = a.shape_link[j]
             if body < 0:
                 body = BASE
             on_surface = point + normal * (a.shape_radius[j] + 0.5 * gap)
-            add_branch_contact(piece, row, body, gap, normal, on_surface, k, rule, s, touch, h)
+            add_branch_contact(piece, row, body, gap, normal, on_surface, rule, s, touch, h)
 
 
 @wp.func
-def meet_line(piece: Piece, row: int, k: Any, rule: ContactRule, s: Any, touch: Any, h: float):
+def meet_line(piece: Piece, row: int, rule: ContactRule, s: Any, touch: Any, h: float):
     """A branch's capsule against the line, in the worlds whose mask lets them touch."""
     w = piece.world
     if w >= 0:
@@ -265,12 +274,12 @@ def meet_line(piece: Piece, row: int, k: Any, rule: ContactRule, s: Any, touch: 
                                           rule.line_end[w], piece.radius + rule.line_radius)  # fmt: skip
             if gap < piece.reach:
                 on_surface = point + normal * (rule.line_radius + 0.5 * gap)
-                add_branch_contact(piece, row, LINE, gap, normal, on_surface, k, rule, s, touch, h)
+                add_branch_contact(piece, row, LINE, gap, normal, on_surface, rule, s, touch, h)
 
 
 @wp.func
 def meet_ground(
-    piece: Piece, end: wp.vec3, row: int, k: Any, rule: ContactRule, s: Any, touch: Any, h: float
+    piece: Piece, end: wp.vec3, row: int, rule: ContactRule, s: Any, touch: Any, h: float
 ):  # fmt: skip
     """One end of a branch's capsule against the ground."""
     if piece.world >= 0:
@@ -278,4 +287,4 @@ def meet_ground(
         if gap < piece.reach:
             point = wp.vec3(end[0], end[1], rule.ground + 0.5 * gap)
             up = wp.vec3(0.0, 0.0, 1.0)
-            add_branch_contact(piece, row, GROUND, gap, up, point, k, rule, s, touch, h)
+            add_branch_contact(piece, row, GROUND, gap, up, point, rule, s, touch, h)

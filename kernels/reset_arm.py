@@ -5,7 +5,7 @@ from typing import Any
 
 import warp as wp
 
-from .arm import arm_types, end_pose, place_arm
+from .arm import arm_types
 from .contact import ContactRule
 from .real import SOURCE
 
@@ -14,13 +14,13 @@ __all__ = ["reset_arm_kernel"]
 
 @cache
 def reset_arm_kernel(dof: int) -> Any:
-    """Return the kernel: q <- start, everything else of the arm <- 0, and the arm placed, in the masked worlds."""
+    """Return the kernel: q <- start, everything else of the arm <- 0, in the masked worlds."""
     t = arm_types(dof)
-    Arm, ArmState, ArmWork, Row = t.Arm, t.ArmState, t.ArmWork, t.Row
+    ArmState, ArmWork, Row = t.ArmState, t.ArmWork, t.Row
 
     @wp.kernel(enable_backward=False, module="unique")
     def reset_arm(
-        mask: wp.array(dtype=wp.bool), start_in: wp.array2d(dtype=wp.float32), a: Arm, y_out: ArmState, k_out: ArmWork,
+        mask: wp.array(dtype=wp.bool), start_in: wp.array2d(dtype=wp.float32), y_out: ArmState, k_out: ArmWork,
         rule: ContactRule,
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
@@ -40,7 +40,5 @@ def reset_arm_kernel(dof: int) -> Any:
             rule.count[w] = 0
             rule.overflow[w] = 0
             rule.depth[w] = 0.0
-            place_arm(w, a, y_out.q, k_out)
-            end_pose(w, a, y_out, k_out)
 
     return reset_arm

@@ -40,6 +40,8 @@ class Train:
         seed: Seed of everything random, 0 if not given.
         preset: Size of the run and of its steps; the device's own if not given.
         without: Observation groups left out, such as kme,touch.
+        model: model.yaml of a branch with lengths and radii, such as bough diagnose writes: all trees are of its wood,
+            as those of bough forest --model. One with effects is refused.
         resume: Go on with a run that was killed or is to be longer, with its own settings; begin where there is none.
     """
 
@@ -51,6 +53,7 @@ class Train:
     seed: int | None = None
     preset: Preset | None = None
     without: tuple[str, ...] = ()
+    model: Path | None = None
     resume: bool = False
 
     def run(self, registry: TaskRegistry | None = None) -> int:
@@ -92,6 +95,8 @@ class Train:
         worlds = own.num_envs if self.num_envs is None else self.num_envs
         ppo = replace(own, num_envs=worlds, iterations=own.iterations if self.iterations is None else self.iterations)
         settings = registry.without(registry.presets[preset], self._left_out)
+        if self.model is not None:
+            settings = registry.of_model(settings, self.model)
         return Plan(self.task, settings, ppo, self.seed or 0, device)
 
     def _kept(self, folder: RunFolder, registry: TaskRegistry, processes: Processes) -> Plan:
@@ -111,6 +116,8 @@ class Train:
         if self.without:
             left = tuple(name for name in registry.groups if name not in self._left_out)
             _same(folder, "--without", left, kept.settings.groups)
+        if self.model is not None:
+            _same(folder, "--model", registry.of_model(kept.settings, self.model), kept.settings)
         wanted = kept.ppo.iterations if self.iterations is None else self.iterations
         device = processes.device(self.device or kept.device)
         return replace(kept, ppo=replace(kept.ppo, iterations=wanted), device=device)

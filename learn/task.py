@@ -11,10 +11,14 @@ from typing import TYPE_CHECKING, Any, Protocol, get_type_hints
 from ..sim.errors import InputError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import numpy as np
     import torch
     from numpy.typing import NDArray
     from tensordict import TensorDict
+
+    from ..sim.posterior_stiffness import Wood
 
 METRICS = ("return", "success", "occlusion_drop", "breach", "steps_clear")
 """What a task says of every finished episode: sum of rewards; 1 or 0; share of the starting occlusion that is gone;
@@ -77,12 +81,15 @@ class TaskRegistry:
         groups: Names of the observation groups, all of which can be left out but not together.
         presets: Settings by the name of a preset, frozen dataclasses with a field ``groups``: names of those left in.
         make: Called with name, settings, num_envs, seed, device and test (all contacts on); returns the task.
+        of_wood: Called with settings and the wood of a measured branch; returns the settings of tasks whose trees are
+            of it. None where tasks have no trees.
     """
 
     names: tuple[str, ...]
     groups: tuple[str, ...]
     presets: Mapping[str, Any]
     make: Callable[..., Task]
+    of_wood: Callable[[Any, Wood], Any] | None = None
 
     @property
     def settings(self) -> type:
@@ -108,6 +115,22 @@ class TaskRegistry:
             raise InputError("train", "--without", "every group", "all groups but one at most")
         return replace(settings, groups=kept)
 
+    def of_model(self, settings: Any, model: Path) -> Any:
+        """Return settings whose trees are of the wood of a branch's ``model.yaml``, as those of ``bough forest`` are.
+
+        Raises:
+            InputError: The tasks have no trees, or the file is faulty, without sizes, or has effects.
+        """
+        from ..sim.posterior_stiffness import SpringPosterior
+
+        if self.of_wood is None:
+            raise InputError("train", "--model", str(model), f"no model: {', '.join(self.names)} without trees")
+        found = SpringPosterior.from_model(model)
+        if found.left_out:
+            allowed = "none: beside an arm springs and dampers act alone; delete the effects to train without them"
+            raise InputError(model, "effects", ", ".join(found.left_out), allowed)
+        return self.of_wood(settings, found.wood())
+
 
 def builtin_tasks() -> TaskRegistry:
     """Return bough's own tasks.
@@ -116,9 +139,9 @@ def builtin_tasks() -> TaskRegistry:
         InputError: rsl-rl is not installed.
     """
     require_rsl_rl()
-    from .tasks import GROUPS, NAMES, PRESETS, make_task
+    from .tasks import GROUPS, NAMES, PRESETS, make_task, of_wood
 
-    return TaskRegistry(NAMES, GROUPS, PRESETS, make_task)
+    return TaskRegistry(NAMES, GROUPS, PRESETS, make_task, of_wood)
 
 
 def require_rsl_rl() -> None:
@@ -155,14 +178,15 @@ def plain(settings: Any) -> dict[str, Any]:
 
 
 def settings_from(kind: type, values: Mapping[str, Any], source: object) -> Any:
-    """Return the settings that `plain` wrote.
+    """Return the settings that `plain` wrote; what is empty unless given may be missing, as in an older run.
 
     Raises:
         InputError: They are not of this kind, such as another version's.
     """
     names = {f.name for f in fields(kind)}
-    if set(values) != names:
-        odd = ", ".join(sorted(set(values) ^ names))
+    needed = names - {f.name for f in fields(kind) if f.default == ()}
+    if not needed <= set(values) <= names:
+        odd = ", ".join(sorted((set(values) - names) | (needed - set(values))))
         raise InputError(str(source), odd, "settings of another version", "those of this version of bough")
     hints = get_type_hints(kind)
     return kind(**{name: _value(hints[name], value, source) for name, value in values.items()})

@@ -132,9 +132,16 @@ def _details(config: dict[str, Any]) -> dict[str, object]:
     return {
         "task": f"{config['task']['name']}, version {config['task']['version']}",
         "observation groups": ", ".join(config["task"]["settings"].get("groups", ())),
+        **_wood(config["task"]["settings"].get("scene", {}).get("wood", ())),
         **ppo,
         **{name: config[name] for name in ("seed", "device", "processes", "started")},
         **config["versions"],
         "source": f"{source}{changed}",
         **config["machine"],
     }
+
+
+def _wood(rows: Sequence[Sequence[float]]) -> dict[str, str]:
+    """Return the row on the wood that a run was given, none where it was given none."""
+    said = [f"{1e-9 * young:.3g} GPa, {time:.3g} s at {1e3 * radius:.3g} mm" for radius, young, time in rows]
+    return {"wood (Young's modulus, relaxation time at radius)": "; ".join(said)} if said else {}

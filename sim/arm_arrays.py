@@ -10,7 +10,7 @@ import torch
 import warp as wp
 from numpy.typing import NDArray
 
-from ..kernels.arm import arm_types
+from ..kernels.arm import arm_lanes, arm_types
 from ..kernels.contact import Contact, ContactRule, contact_types
 from . import rotation
 from .arm import Arm, forward_kinematics
@@ -19,6 +19,8 @@ from .launcher import Launcher
 from .model import Model
 from .tree import Array, IntArray, Tree
 
+#: Contacts that press for which Newton's method is used; where more do, there are only sweeps.
+DIRECT = 10
 #: Middle of a capsule that a world lacks [m].
 FAR = 1.0e6
 
@@ -33,33 +35,25 @@ class ArmArrays:
         force: Net contact force on every link in the last step, world axes [N], [worlds, dof, 3].
         end_position, end_rotation: End-effector [m] and w, x, y, z, [worlds, 3] and [worlds, 4].
         lost: 1 where a step left the finite, [worlds].
-        start, end, radius: Capsules of arm and base, Warp arrays [worlds, C] of the step's working memory; the base's
-            come first.
     """
 
     def __init__(self, arm: Arm, worlds: int, gravity: Array, device: Any) -> None:
         self.types, self.device = arm_types(arm.num_dofs), device
         self._keep: list[wp.array] = []
         self.constants = self._constants(arm, gravity)
-        n, capsules = arm.num_dofs, len(arm.base_radius) + arm.num_capsules
+        n = arm.num_dofs
         self._state, self._work = self.types.ArmState(), self.types.ArmWork()
         for name, kind in (("q", float), ("qd", float), ("torque", float), ("target", float), ("force", wp.vec3)):
             self._field(self._state, name, (worlds, n), kind)
         self._field(self._state, "lost", worlds, int)
         self._field(self._state, "end_position", worlds, wp.vec3)
         self._field(self._state, "end_rotation", worlds, wp.vec4)
-        for name, kind in (("pose", wp.quat), ("origin", wp.vec3), ("axis", wp.vec3), ("moment", wp.vec3),
-                           ("push", wp.vec3), ("first", wp.vec3), ("tensor", wp.mat33)):  # fmt: skip
-            self._field(self._work, name, (worlds, n), kind)
-        for name in ("start", "end"):
-            self._field(self._work, name, (worlds, capsules), wp.vec3)
+        for name in ("origin", "axis"):
+            self._field(self._work, name, (worlds, n), wp.vec3)
         for name in ("inertia", "factor"):
             self._field(self._work, name, worlds, self.types.Square)
-        for name in ("bias", "weight", "load", "velocity", "held"):
+        for name in ("bias", "weight", "velocity", "held"):
             self._field(self._work, name, worlds, self.types.Row)
-        for name in ("loose", "settled"):
-            self._field(self._work, name, worlds, int)
-        self.start, self.end = self._work.start, self._work.end
         views = {name: wp.to_torch(getattr(self._state, name)) for name in self._state._cls.vars}
         self.q, self.qd, self.torque, self.target = (views[k] for k in ("q", "qd", "torque", "target"))
         self.force, self.end_position, self.end_rotation = (views[k] for k in ("force", "end_position", "end_rotation"))
@@ -178,7 +172,9 @@ class TouchArrays:
         self._rule = self._make_rule(arm, capacity)
         self._shapes = self._make_shapes()
         self._touch = self._make_touch(launcher)
-        self.kernel = (self._rule, self._shapes, self._touch)
+        self._space_struct = self._make_space(launcher, arm.num_dofs, capacity)
+        self._arms = self._make_lanes(launcher, arm)
+        self.kernel = (self._rule, self._shapes, self._touch, self._space_struct, self._arms)
 
     # ---- rule and records --------------------------------------------------------------------------------------------
 
@@ -193,6 +189,7 @@ class TouchArrays:
             "record": wp.zeros((worlds, capacity), dtype=Contact, device=dev),
             "count": wp.zeros(worlds, dtype=int, device=dev),
             "overflow": wp.zeros(worlds, dtype=int, device=dev),
+            "unsettled": wp.zeros(worlds, dtype=int, device=dev),
             "depth": wp.zeros(worlds, dtype=float, device=dev),
             "branch_force": wp.zeros((worlds, capsules), dtype=wp.vec3, device=dev),
             "arm_peak": wp.zeros((worlds, arm.num_dofs), dtype=float, device=dev),
@@ -202,8 +199,8 @@ class TouchArrays:
             setattr(rule, name, array)
         self.record = made["record"]
         self.warp = made
-        for name in ("friction", "line_start", "line_end", "line_mask", "count", "overflow", "depth", "branch_force",
-                     "arm_peak"):  # fmt: skip
+        for name in ("friction", "line_start", "line_end", "line_mask", "count", "overflow", "unsettled", "depth",
+                     "branch_force", "arm_peak"):  # fmt: skip
             view: torch.Tensor = wp.to_torch(made[name])
             setattr(self, name, view)
         return rule
@@ -214,6 +211,7 @@ class TouchArrays:
     line_mask: torch.Tensor
     count: torch.Tensor
     overflow: torch.Tensor
+    unsettled: torch.Tensor
     depth: torch.Tensor
     branch_force: torch.Tensor
     arm_peak: torch.Tensor
@@ -267,30 +265,78 @@ class TouchArrays:
         out.count, out.link = integer_array(count, m.device), integer_array(link, m.device)
         out.slot_capsule = integer_array(capsule, m.device)
         self._integers = [out.count, out.link, out.slot_capsule]
+        out.pairs, out.pair = (
+            integer_array(np.zeros(m.groups), m.device),
+            integer_array(np.zeros((m.groups, 0, 2)), m.device),
+        )
         return out
 
     def _make_touch(self, launcher: Launcher) -> Any:
         out = self._types.Touch()
         self._fields: dict[str, LaneArray] = {}
-        kinds = {"at": "Vec", "velocity": "Vec", "A": "Sym", "B": "Mat", "M": "Sym", "n": "Vec", "f": "Vec"}
+        kinds = {"at": "Vec", "velocity": "Vec", "n": "Vec", "f": "Vec"}
         for name, kind in kinds.items():
             self._fields[name] = launcher.field(kind)
-        self._fields["near"] = launcher.field("Vec", places=self.num_arm + 3)
+        self._fields["near"] = launcher.field("Vec", places=3 * self.num_arm + 3)
         for name, field in self._fields.items():
             setattr(out, name, field.kernel)
             if name not in ("at", "velocity"):
                 setattr(out, f"{name}_entry", field.entries())
         self._fields["near"].torch.fill_(-FAR)  # lanes without a world: far from absent capsules
-        rows, places = self._fields["at"].kernel.shape
-        self._marks = [wp.zeros((rows, places), dtype=int, device=self.device) for _ in range(2)]
-        out.touched, out.path = self._marks
+        self._path: wp.array = wp.zeros(self._fields["at"].kernel.shape, dtype=int, device=self.device)
+        out.path = self._path
+        return out
+
+    def _make_lanes(self, launcher: Launcher, arm: Arm) -> Any:
+        out, n = arm_lanes(self._model.width)(), arm.num_dofs
+        sizes = dict.fromkeys(("q", "qd", "bias", "weight"), ("Real", n)) | {"inertia": ("Real", n * n)}
+        sizes |= {"pose": ("Quat", n), "tensor": ("Sym", n)} | dict.fromkeys(("start", "end"), ("Vec", self.num_arm))
+        sizes |= dict.fromkeys(("origin", "axis", "slide", "first", "push", "moment"), ("Vec", n))
+        self._lane_fields = {name: launcher.field(kind, places=places) for name, (kind, places) in sizes.items()}
+        _set_fields(out, self._lane_fields)
+        return out
+
+    def _make_space(self, launcher: Launcher, dof: int, capacity: int) -> Any:
+        out = self._types.Space()
+        rows, places = self._path.shape
+        turns = -(-3 * capacity // self._model.width)
+        kinds = {"D": "Sym", "U": "Mat", "k": "Real"} | dict.fromkeys(("r", "n", "f", "alpha", "accel"), "Vec")
+        fields = {name: launcher.field(kind) for name, kind in kinds.items()}
+        sizes = {"branch": 3 * capacity * turns, "total": 3 * capacity * turns, "arm": dof * turns, "free": turns,
+                 "velocity": turns}  # fmt: skip
+        fields |= {name: launcher.field("Real", places=size) for name, size in sizes.items()}
+        _set_fields(out, fields)
+        shapes = dict.fromkeys(("number", "up", "kind"), (rows, places))
+        shapes |= dict.fromkeys(("frame", "still", "force", "spring", "resist", "give"), (rows, capacity))
+        shapes |= {"pressing": (rows, DIRECT), "matrix": (rows, 3 * DIRECT, 3 * DIRECT), "right": (rows, 3 * DIRECT)}
+        self._space_fields, self._space = fields, {}
+        for name, shape in shapes.items():
+            self._space[name] = wp.zeros(shape, dtype=out._cls.vars[name].type.dtype, device=self.device)
+            setattr(out, name, self._space[name])
         return out
 
     @property
     def nbytes(self) -> int:
         """Bytes of all arrays."""
-        made = sum(a.size * wp.types.type_size_in_bytes(a.dtype) for a in self.warp.values())
-        return int(made) + sum(f.nbytes for f in (*self._fields.values(), *self._lanes.values()))
+        arrays = (*self.warp.values(), *self._space.values(), self._path)
+        made = sum(a.size * wp.types.type_size_in_bytes(a.dtype) for a in arrays)
+        return int(made) + sum(
+            f.nbytes
+            for f in (
+                *self._fields.values(),
+                *self._space_fields.values(),
+                *self._lane_fields.values(),
+                *self._lanes.values(),
+            )
+        )
+
+
+def _set_fields(struct: Any, fields: dict[str, LaneArray]) -> None:
+    """Set the fields of a struct, and the views of their entries where it has some."""
+    for name, field in fields.items():
+        setattr(struct, name, field.kernel)
+        if f"{name}_entry" in struct._cls.vars:
+            setattr(struct, f"{name}_entry", field.entries())
 
 
 def _numbered(tree: Tree) -> IntArray:

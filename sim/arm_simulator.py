@@ -36,7 +36,7 @@ class Contacts:
         arm_branch, arm_line, arm_arm: Which pairs touch. Branches touch the line where `line_mask` says so.
         line_radius: Of the power line [m].
         ground: Height of the ground [m]; None is no ground.
-        repeats: Solves a step at most, until normal forces, friction and the arm agree.
+        repeats: Sweeps over the contacts a step at most, until their forces agree.
     """
 
     stiffness: float = 6.0e4
@@ -49,7 +49,7 @@ class Contacts:
     arm_arm: bool = False
     line_radius: float = 0.01
     ground: float | None = None
-    repeats: int = 8
+    repeats: int = 32
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "damping", "friction", "creep", "line_radius"):
@@ -240,8 +240,8 @@ class ArmSimulator(Simulator):
 
     def _prepare_capsules(self, *, split: bool) -> Callable[[], None]:
         kernel = capsule_kernel(self.model.width, self.arm.num_dofs)
-        _, shapes, touch = self._touch.kernel
-        before = [self.model.kernel, self.state.kernel, self._arm.kernel[2], shapes, touch, self._slot_world]
+        _, shapes, touch, _, arms = self._touch.kernel
+        before = [self.model.kernel, self.state.kernel, *self._arm.kernel[:2], shapes, touch, arms, self._slot_world]
         return self._launcher.prepare(kernel, before, [self.capsules.start, self.capsules.end], split=split)
 
     def reset(self, mask: torch.Tensor | None = None) -> None:
@@ -252,6 +252,6 @@ class ArmSimulator(Simulator):
         if self.rupture is not None:
             self.rupture.heal(chosen)
         kernel = reset_arm_kernel(self.arm.num_dofs)
-        inputs = [chosen, self._start_q, *self._arm.kernel, self._touch.kernel[0]]
+        inputs = [chosen, self._start_q, *self._arm.kernel[1:], self._touch.kernel[0]]
         wp.launch(kernel, dim=self.model.num_worlds, inputs=inputs, device=self.model.device)
         self.look()

@@ -24,6 +24,9 @@ from .errors import InputError
 from .stiffness import beam, beam_size
 from .tree import Array, Tree
 
+#: A particle's wood in plain numbers, by rising radius: radius [m], Young's modulus [Pa], relaxation time [s].
+Wood = tuple[tuple[float, float, float], ...]
+
 _UNIT = {"stiffness": "N m/rad", "damping": "N m s/rad"}
 _GEOMETRY = ("segment_name", "segment_length_m", "segment_radius_m")
 _BROKEN = (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error)
@@ -102,6 +105,17 @@ class SpringPosterior:
         distinct, group = np.unique(radius, return_inverse=True)
         mean = np.equal.outer(group, np.arange(len(distinct))) / np.bincount(group)
         return cls(distinct, young @ mean, (damping / stiffness) @ mean, tuple(left_out))
+
+    @classmethod
+    def from_wood(cls, wood: Wood) -> SpringPosterior:
+        """Return the posterior of one particle that `wood` told."""
+        radius, young, relaxation = np.array(wood, np.float64).T
+        return cls(radius, young[None], relaxation[None])
+
+    def wood(self, particle: int = 0) -> Wood:
+        """Return one particle in plain numbers, to be kept in settings; `from_wood` gives it back to the bit."""
+        rows = zip(self.radius, self.young[particle], self.relaxation[particle], strict=True)
+        return tuple((float(radius), float(young), float(relaxation)) for radius, young, relaxation in rows)
 
     def draw(self, seed: np.random.SeedSequence | int) -> int:
         """Draw the index of a particle, all equally likely."""

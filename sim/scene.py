@@ -25,9 +25,10 @@ from .cull import keep_links
 from .errors import InputError
 from .export_mesh import shape_ends
 from .pose import rest_pose
+from .posterior_stiffness import SpringPosterior, Wood
 from .rotation import quat_rotate
 from .species import grow_forest
-from .stiffness import hold_rest_pose, rudimentary
+from .stiffness import hold_rest_pose, rudimentary, toppling_stiffness
 from .tree import Array, IntArray, Joint, Tree
 
 Range = tuple[float, float]
@@ -73,6 +74,8 @@ class SceneSettings:
         noise: Standard deviation of the trees' parameters, relative (thesis 5.4.1: 0.1).
         scale: Metres per unit of the species' lengths.
         upper, lower, decay: Springs as in `stiffness.rudimentary` [N m/rad]; the defaults are its own.
+        wood: Wood of a measured branch that gives the springs and dampers instead (`SpringPosterior.wood`); empty for
+            none.
         firm: Level force on the middle of a link above which it counts as too firm to be pushed 0.1 m aside [N]; such
             wood occludes nothing at the start.
         target: The target.
@@ -106,6 +109,7 @@ class SceneSettings:
     upper: float = 120.0
     lower: float = 5.0
     decay: float = 1.0 / 3.0
+    wood: Wood = ()
     firm: float = 20.0
     target: Target = Target()
     distance: Range = (0.50, 0.65)
@@ -174,7 +178,7 @@ def grow_trees(settings: SceneSettings, arm: Arm, *, seed: int, domain: str = "t
     """Grow the distinct trees of a run: trunk fixed, springs that hold the rest pose, culled to what the arm reaches.
 
     Raises:
-        InputError: The settings (`SceneSettings.check`), or a tree out of reach from every side.
+        InputError: The settings (`SceneSettings.check`), a tree out of reach from every side, or wood too soft for it.
     """
     shoulder, reach = arm_reach(arm)
     settings.check(reach)
@@ -188,8 +192,20 @@ def grow_trees(settings: SceneSettings, arm: Arm, *, seed: int, domain: str = "t
 
 
 def _finished(tree: Tree, settings: SceneSettings, rng: np.random.Generator) -> Tree:
+    if settings.wood:
+        return hold_rest_pose(_of_wood(tree, settings))
     spring = {"upper": settings.upper, "lower": settings.lower, "decay": settings.decay}
     return hold_rest_pose(rudimentary(tree, rng=rng, **spring))
+
+
+def _of_wood(tree: Tree, settings: SceneSettings) -> Tree:
+    """Return the tree with the springs and dampers of the settings' wood, none of which its weight may topple."""
+    out = SpringPosterior.from_wood(settings.wood).apply(tree, 0)
+    turns = out.joint != Joint.FIXED
+    softest = settings.stiffness[0] * out.stiffness[turns]
+    stands = softest >= 2.0 * toppling_stiffness(out)[turns]  # as `rudimentary` has it
+    _need(bool(stands.all()), "wood", f"{tree.name} toppling under its own weight", "stiffer wood")
+    return out
 
 
 def _culled(tree: Tree, settings: SceneSettings, shoulder: float, reach: float) -> Tree:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .settings import GROUPS, NAMES, PRESETS, TaskSettings, check_name
+from .settings import GROUPS, NAMES, PRESETS, TaskSettings, check_name, of_wood
 
 if TYPE_CHECKING:
     from .powerline import Powerline
 
-__all__ = ["GROUPS", "NAMES", "PRESETS", "TaskSettings", "make_task"]
+__all__ = ["GROUPS", "NAMES", "PRESETS", "TaskSettings", "make_task", "of_wood"]
 
 
 def make_task(

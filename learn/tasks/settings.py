@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from ...perception.sensor import SensorSettings
 from ...sim.errors import InputError
+from ...sim.posterior_stiffness import Wood
 from ...sim.scene import Range, SceneSettings, Target
 
 TARGETS = {
@@ -111,6 +112,11 @@ def columns_of(settings: TaskSettings, dofs: int) -> tuple[dict[str, int], int]:
             out[name] = first
             first += size[name]
     return out, first
+
+
+def of_wood(settings: TaskSettings, wood: Wood) -> TaskSettings:
+    """Return the settings with trees of the wood of a measured branch."""
+    return replace(settings, scene=replace(settings.scene, wood=wood))
 
 
 def check_name(name: str) -> None:

@@ -6,20 +6,23 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 import torch
+from bough.learn.command_evaluate import Evaluate
+from bough.learn.command_play import Play
 from bough.learn.command_train import Train
 from bough.learn.ppo_runner import InPlacePPO, Runner
 from bough.learn.ppo_settings import PRESETS, PPOSettings
 from bough.learn.processes import Processes
 from bough.learn.run_folder import MODEL, RunFolder
-from bough.learn.task import policy_seed, task_seed, unseen_seed
+from bough.learn.task import TaskRegistry, plain, policy_seed, settings_from, task_seed, unseen_seed
 from bough.learn.train import LostError, Plan, Trainer, train
 from bough.sim.errors import InputError
-from oracles.reach_task import LENGTH, ReachSettings, best_return, registry
+from bough.sim.posterior_stiffness import SpringPosterior, Wood
+from oracles.reach_task import LENGTH, Reach, ReachSettings, best_return, registry
 from oracles.train_reach import TINY
 
 SMALL = PPOSettings(num_envs=16, iterations=6, horizon=8, hidden=(16,), checkpoint_every=2)
@@ -176,6 +179,50 @@ def test_command_writes_the_run_folder(tmp_path, capsys, tiny):
     assert before == {p: p.read_bytes() for p in out.rglob("*") if p.is_file()}
     assert Train("reach", out, resume=True).run(registry()) == 0  # all done: says so again
     assert len(RunFolder(out).metrics()) == 2
+
+
+@dataclass(frozen=True)
+class InForest(ReachSettings):
+    """Settings of a task that has trees."""
+
+    wood: Wood = ()
+
+
+MODEL_YAML = """
+format: branch-model/1
+name: branch
+segments:
+  - {name: twig, stiffness_Nmprad: 15.1, damping_Nmsprad: 0.27,
+     length_m: 0.41, radius_base_m: 0.01, radius_tip_m: 0.008}
+"""
+
+
+def test_all_commands_take_the_wood_that_a_run_was_begun_with(tmp_path, tiny):
+    """Give the same wood to the worlds of training, of going on, of tests and of the film; none to tasks without."""
+    seen, out, model = [], tmp_path / "run", tmp_path / "model.yaml"
+
+    def make(name, settings, **arguments):
+        seen.append(settings)
+        return Reach(settings, **arguments)
+
+    tasks = TaskRegistry(("reach",), ("place", "time"), {"cpu": InForest()}, make, lambda s, w: replace(s, wood=w))
+    model.write_text(MODEL_YAML)
+    assert Train("reach", out, num_envs=8, iterations=1, model=model, device="cpu").run(tasks) == 0
+    assert Train("reach", out, iterations=2, model=model, resume=True).run(tasks) == 0
+    assert Evaluate(out, sets=1, worlds=4, device="cpu").run(tasks) == 0
+    assert Play(str(out), tmp_path / "film", seconds=0.2, device="cpu").run(tasks) == 0
+    assert seen == [InForest(wood=SpringPosterior.from_model(model).wood())] * 4
+    with pytest.raises(InputError, match="no model: reach without trees"):
+        Train("reach", tmp_path / "other", model=model).run(registry())
+    assert not (tmp_path / "other").exists()
+
+
+def test_runs_from_before_there_was_wood_are_read():
+    """Take what is empty unless given from the defaults; what has a value must be there."""
+    old = {k: v for k, v in plain(InForest()).items() if k != "wood"}
+    assert settings_from(InForest, old, "config.json") == InForest()
+    with pytest.raises(InputError, match="start: found settings of another version"):
+        settings_from(InForest, {k: v for k, v in old.items() if k != "start"}, "config.json")
 
 
 def test_metrics_are_means_over_finished_episodes(whole):

@@ -173,17 +173,17 @@ def test_a_push_settles_at_the_force_of_the_spring():
     drive(sim, 14.0, lambda t: [0.15, 0, 0, 0, 0, 0])
     pushed = 0
     for w, tree in enumerate(trees):
-        found = [c for c in contacts_of(sim, w) if c["acted"].any()]
+        found = [c for c in contacts_of(sim, w) if c["force"].any()]
         pushed += bool(found)
         if not found:
             continue
         frame = Rotation.from_quat(np.roll(tree.rotation[0], -1))
         turn = frame.apply(Rotation.from_quat(np.roll(sim.state.qpos()[w], -1)).as_rotvec())
-        moment = sum(np.cross(c["point"] - tree.position[0], c["acted"]) for c in found)
+        moment = sum(np.cross(c["point"] - tree.position[0], c["force"]) for c in found)
         assert np.linalg.norm(moment) > 1.0
         assert np.linalg.norm(moment - tree.stiffness[0] * turn) < 0.02 * np.linalg.norm(moment)
         now = sim.q[w].numpy().astype(float)
-        needed = sum(point_jacobian(arm, now, int(c["body"]), c["point"]).T @ c["acted"] for c in found)
+        needed = sum(point_jacobian(arm, now, int(c["body"]), c["point"]).T @ c["force"] for c in found)
         # what still creeps: the servo's joints turn by some mrad/s, and 80 N m s/rad of each is in the torque
         np.testing.assert_allclose(sim.torque[w].numpy(), needed, atol=0.02 * np.abs(needed).max())
     assert pushed >= 10
@@ -217,14 +217,14 @@ def test_forces_on_arm_and_branches_are_equal_and_opposite():
     def read(sim):
         nonlocal most
         found = contacts_of(sim)
-        most = max(most, int((np.abs(found["acted"]).sum(axis=1) > 0).sum()))
+        most = max(most, int((np.abs(found["force"]).sum(axis=1) > 0).sum()))
         for name, count in (("arm", 6), ("branch", tree.num_links)):
             sums = np.zeros((count, 3))
             for c in found:
                 if name == "arm" and c["body"] >= 0:
-                    sums[c["body"]] -= c["acted"]
+                    sums[c["body"]] -= c["force"]
                 elif name == "branch":
-                    sums[c["capsule"]] += c["acted"]
+                    sums[c["capsule"]] += c["force"]
             have = (sim.arm_force if name == "arm" else sim.branch_force)[0].numpy()
             np.testing.assert_allclose(have, sums, atol=1e-6 * max(np.abs(sums).max(), 1.0))
         return 0
@@ -339,7 +339,7 @@ def swept(seed: int) -> tuple[np.ndarray, list, float, float]:
 
     def read(sim):
         found = contacts_of(sim)
-        found = found[np.abs(found["acted"]).sum(axis=1) > 0]
+        found = found[np.abs(found["force"]).sum(axis=1) > 0]
         order = np.lexsort((found["gap"], found["body"], found["capsule"]))
         tip = np.linalg.norm(point_jacobian(FAST, sim.q[0].numpy().astype(float), 5, sim.end_position[0].numpy())
                              @ sim.qd[0].numpy())  # fmt: skip

@@ -361,11 +361,11 @@ def test_random_scenes_lose_no_world():
         depths.append(sim.depth.numpy().copy())
         for w in range(0, 64, 4):
             for c in contacts_of(sim, w):
-                push = float(c["normal"] @ c["acted"])
-                if np.linalg.norm(c["acted"]) < 0.1:
+                push = float(c["normal"] @ c["force"])
+                if np.linalg.norm(c["force"]) < 0.1:
                     continue
                 pull.append(push)
-                drag = np.linalg.norm(c["acted"] - push * c["normal"])
+                drag = np.linalg.norm(c["force"] - push * c["normal"])
                 cone.append(drag - 0.5 * max(push, 0.0) * 1.02 - 0.05)
 
     act(sim, 300, look=look)

@@ -99,6 +99,42 @@ def test_tips_give_way_by_ten_centimetres_under_a_hand_force():
             assert 3.0 < 0.1 / moved[1] < 20.0
 
 
+WOOD = ((0.006, 4e8, 0.03), (0.012, 9e8, 0.02))
+"""Mean radius [m], Young's modulus [Pa] and relaxation time [s] of two segments of a branch."""
+
+
+def wood_by_hand(tree):
+    """Springs K = E pi r^4 / 2 l and dampers K tau of every link, E and tau linear in log r; both [L]."""
+    radius, young, relaxation = np.array(WOOD).T
+    r = tree.shape_radius.mean(axis=1)
+    length = np.linalg.norm(tree.shape_end - tree.shape_start, axis=1)
+    share = np.clip(np.log(r / radius[0]) / np.log(radius[1] / radius[0]), 0, 1)
+    e, tau = (v[0] + share * (v[1] - v[0]) for v in (young, relaxation))
+    stiffness = e * np.pi * r**4 / (2 * length)
+    return stiffness, tau * stiffness
+
+
+def test_trees_of_a_measured_branch_have_its_wood():
+    """Springs and dampers of the worlds by hand, times the episode's factors; shape and pre-load as without."""
+    worlds = Worlds(replace(SETTINGS, wood=WOOD), worlds=12)
+    for tree, plain in zip(worlds.distinct, grow_trees(SETTINGS, jaco2(), seed=0), strict=True):
+        np.testing.assert_array_equal(tree.position, plain.position)
+        np.testing.assert_array_equal(tree.preload, plain.preload)
+    model = worlds.sim.model
+    found = [model.gather(model.arrays[name].numpy())[:, 0] for name in ("stiffness", "damping")]
+    for w, tree in enumerate(model.trees):
+        ball = tree.joint == Joint.SPHERICAL
+        factor = float(worlds.scene.stiffness[w]), float(worlds.scene.stiffness[w] * worlds.scene.damping[w])
+        links = slice(*model.first_link[w : w + 2])
+        for values, f, wanted in zip(found, factor, wood_by_hand(tree), strict=True):
+            np.testing.assert_allclose(values[links][ball], f * wanted[ball], rtol=1e-5)
+
+
+def test_wood_that_its_own_weight_topples_is_refused():
+    with pytest.raises(InputError, match=r"wood: found .* toppling under its own weight; allowed: stiffer wood"):
+        grow_trees(replace(SETTINGS, wood=((0.01, 5e7, 0.02),)), jaco2(), seed=0)
+
+
 def test_compliance_is_what_springs_in_series_give():
     """Middle of a capsule under 1 N: the least displacement over 64 level directions, by cross products."""
     tree = grow_trees(SETTINGS, jaco2(), seed=3)[0]

@@ -1,4 +1,30 @@
-"""Training at the command line: what is refused in one line, before any world is built."""
+"""Training at the command line: what is refused in one line, and a run in a forest of a diagnosed branch's wood."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import yaml
+from oracles.oscillator import write_case
+
+TINY = ("--preset", "cpu", "--device", "cpu", "--num-envs", 12)
+SEGMENTS = [
+    {"name": "branch", "stiffness_Nmprad": 74.2, "damping_Nmsprad": 1.31, "length_m": 0.52, "radius_base_m": 0.014,
+     "radius_tip_m": 0.012},
+    {"name": "twig", "stiffness_Nmprad": 15.1, "damping_Nmsprad": 0.27, "length_m": 0.41, "radius_base_m": 0.010,
+     "radius_tip_m": 0.008},
+]  # fmt: skip
+
+
+def write_branch(effects=(), segments=SEGMENTS) -> None:
+    """Write a model.yaml as `bough diagnose` does."""
+    content = {"format": "branch-model/1", "name": "branch_7", "segments": segments, "effects": list(effects)}
+    Path("model.yaml").write_text(yaml.safe_dump(content))
+
+
+def settings(run: Path) -> dict:
+    """Return the task's settings of a run folder."""
+    return json.loads((run / "config.json").read_text())["task"]["settings"]
 
 
 def test_bad_commands_are_refused(bough, tmp_path):
@@ -11,3 +37,45 @@ def test_bad_commands_are_refused(bough, tmp_path):
     (out / "config.json").write_text("{}")
     bough("train", "powerline", "--out", out).refused("a run", "--resume")
     assert [p.name for p in out.iterdir()] == ["config.json"] and (out / "config.json").read_text() == "{}"
+
+
+def test_models_that_no_worlds_can_be_of(bough, tmp_path):
+    """No file, a case of joints, no sizes, wood too stiff to push, effects, which are named; nothing is written."""
+
+    def refused(*words, model="model.yaml"):
+        bough("train", "powerline", *TINY, "--model", model, "--out", "run").refused(*words)
+        assert not Path("run").exists()
+
+    refused("model.yaml", "no such file")
+    write_case(tmp_path / "joints", [(0.5, 0.0), (-0.2, 1.0)])
+    refused("meta.yaml", "mechanism", "format, name, segments, effects", model="joints/meta.yaml")
+    write_branch(segments=[{k: v for k, v in s.items() if not k.endswith("_m")} for s in SEGMENTS])
+    refused("model.yaml", "no length_m", "bough diagnose")
+    write_branch(segments=[s | {"stiffness_Nmprad": 1e4} for s in SEGMENTS])
+    refused("firm", "softer")
+    friction = {"name": "dry_friction", "joint": 1, "parameters": {"torque_Nm": 0.21}}
+    write_branch([friction, {"name": "tip_mass", "joint": None, "parameters": {"mass_kg": 0.08}}])
+    refused("model.yaml", "effects", "found dry_friction@1, tip_mass", "springs and dampers")
+
+
+def test_a_run_in_a_diagnosed_branch_s_wood(bough, tmp_path):
+    """Keep E = 2 K l / (pi r^4) and D / K in the run, through going on and a test; refuse to go on with others."""
+    write_branch()
+    out = tmp_path / "run"
+    done = bough("train", "powerline", *TINY, "--iterations", 1, "--model", "model.yaml", "--out", out)
+    assert done.code == 0, done.err
+    k, d, length, *ends = np.array([list(s.values())[1:] for s in reversed(SEGMENTS)]).T
+    radius = np.mean(ends, axis=0)
+    rows = np.column_stack([radius, 2 * k * length / (np.pi * radius**4), d / k])
+    kept = settings(out)
+    np.testing.assert_allclose(kept["scene"]["wood"], rows, rtol=1e-12)
+    assert "0.601 GPa, 0.0179 s at 9 mm; 0.86 GPa, 0.0177 s at 13 mm" in (out / "report.html").read_text()
+    write_branch(segments=[s | {"stiffness_Nmprad": 30.0} for s in SEGMENTS])
+    again = ("train", "powerline", "--out", out, "--resume")
+    bough(*again, "--model", "model.yaml").refused("--model", "other settings", "another --out")
+    Path("model.yaml").unlink()  # the run has all that it needs
+    assert bough(*again, "--iterations", 2).code == 0
+    assert settings(out) == kept
+    tested = bough("evaluate", out, "--sets", 1, "--worlds", 12, "--device", "cpu", "--baselines")
+    assert tested.code == 0, tested.err
+    assert (out / "evaluation.json").exists()
