@@ -126,6 +126,8 @@ def contact_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         f_entry: wp.array4d(dtype=wp.float32)
         near: wp.array2d(dtype=Vec)
         near_entry: wp.array4d(dtype=wp.float32)
+        centre: wp.array2d(dtype=Vec)
+        reach: wp.array2d(dtype=Real)
 
     @wp.struct
     class Space:

@@ -7,11 +7,11 @@ import warp as wp
 from .algebra import add, add_cross, cross, dot, mul, rotate, sub, sub_scaled, vec3_of
 from .arm import entry_vec
 from .collide import nearest_on_segments
-from .contact import BASE, GROUND, LINE, Contact, ContactRule, add_contact
+from .contact import BASE, GROUND, LINE, NONE, Contact, ContactRule, add_contact
 from .lanes import max_, min_
 from .real import any_neg, div, fma, lane, lane_neg, real, sqrt_
 
-__all__ = ["find_arm_contacts", "find_branch_contacts", "note_arms", "note_line"]
+__all__ = ["find_arm_contacts", "find_branch_contacts", "find_crossings", "note_arms", "note_line"]
 
 
 @wp.func(inline=True)
@@ -186,6 +186,52 @@ def add_branch_contact(
 
 
 @wp.func(inline=True)
+def find_crossings(
+    e: int, row: int, width: int, slot_world: wp.array(dtype=int), rule: ContactRule, shapes: Any, s: Any, touch: Any,
+    h: float,
+):  # fmt: skip
+    """Find contacts of branches with branches, of the pairs that may touch."""
+    for n in range(shapes.pairs[e]):
+        c = shapes.pair[e, n, 0]
+        b = shapes.pair[e, n, 1]
+        d = touch.centre[row, c] - touch.centre[row, b]
+        far = touch.reach[row, c] + touch.reach[row, b]
+        verdict = dot(d, d) - far * far
+        if any_neg(verdict):
+            for lane_ in range(width):
+                if lane_neg(verdict, lane_):
+                    one = piece_of(e, row, width, lane_, c, slot_world, shapes, s, touch.centre[row, c],
+                                   touch.reach[row, c])  # fmt: skip
+                    two = piece_of(e, row, width, lane_, b, slot_world, shapes, s, touch.centre[row, b],
+                                   touch.reach[row, b])  # fmt: skip
+                    meet_branch(one, two, row, rule, s, touch, h)
+
+
+@wp.func
+def meet_branch(one: Piece, two: Piece, row: int, rule: ContactRule, s: Any, touch: Any, h: float):
+    """A branch's capsule against another branch's."""
+    if one.world >= 0 and two.world >= 0:
+        gap, normal, point = crossing(one.middle - one.half, one.middle + one.half, two.middle - two.half,
+                                      two.middle + two.half, one.radius + two.radius)  # fmt: skip
+        if gap < one.reach + two.reach:
+            c = Contact()
+            c.link = one.link
+            c.capsule = one.capsule
+            c.second_link = two.link
+            c.second_capsule = two.capsule
+            c.body = NONE
+            c.other = -1
+            c.gap = gap
+            c.normal = normal
+            c.point = point + normal * (two.radius + 0.5 * gap)
+            c.lever = c.point - vec3_of(touch.at[row, one.link], one.lane)
+            c.second_lever = c.point - vec3_of(touch.at[row, two.link], two.lane)
+            c.branch = nominal_velocity(row, one.lane, one.link, c.lever, s, touch, h)
+            c.branch = c.branch - nominal_velocity(row, two.lane, two.link, c.second_lever, s, touch, h)
+            add_contact(one.world, rule, c)
+
+
+@wp.func(inline=True)
 def beside(d: Any, half: Any, inverse: Any, far: Any):
     """Negative where a point, d from a segment's middle, is nearer to it than ``far``."""
     one = real(1.0, far)
@@ -211,6 +257,8 @@ def find_branch_contacts(
         v = add_cross(touch.velocity[row, i], spin, middle)
         pace = sqrt_(dot(v, v)) + sqrt_(dot(spin, spin)) * bound
         reach = fma(pace + speed, real(h, bound), bound)
+        touch.centre[row, c] = centre
+        touch.reach[row, c] = reach
         if rule.arm_branch == 1:
             for j in range(arms):
                 d = centre - touch.near[row, j]

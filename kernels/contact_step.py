@@ -17,7 +17,7 @@ from .arm import (
 )
 from .articulated import advance_links, fold_links, place_links, place_root
 from .contact import ContactRule, contact_types
-from .contact_find import find_arm_contacts, find_branch_contacts, note_arms, note_line
+from .contact_find import find_arm_contacts, find_branch_contacts, find_crossings, note_arms, note_line
 from .contact_space import (
     load_link,
     mark_paths,
@@ -133,6 +133,8 @@ def contact_step_kernel(width: int, dof: int) -> Any:
                     set_out(w, r, lane_, a, y_in_out, k_out, g_out, rule, touch_out, dt)
                     with_line = wp.max(with_line, rule.line_mask[w])
             find_branch_contacts(e, r, W, slot_world, a, g_out, rule, shapes, s_out, touch_out, with_line, dt)
+            if rule.branch_branch == 1:
+                find_crossings(e, r, W, slot_world, rule, shapes, s_out, touch_out, dt)
             fold_links(e, r, m, x_in_out, s_out, h)
             todo = mark_paths(e, r, W, slot_world, m, rule, touch_out)
             if todo == 1:

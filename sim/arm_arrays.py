@@ -265,11 +265,42 @@ class TouchArrays:
         out.count, out.link = integer_array(count, m.device), integer_array(link, m.device)
         out.slot_capsule = integer_array(capsule, m.device)
         self._integers = [out.count, out.link, out.slot_capsule]
-        out.pairs, out.pair = (
-            integer_array(np.zeros(m.groups), m.device),
-            integer_array(np.zeros((m.groups, 0, 2)), m.device),
-        )
+        self._lay_pairs(out, [np.zeros((0, 2), np.int64)] * m.groups)
         return out
+
+    def _lay_pairs(self, shapes: Any, found: list[IntArray]) -> None:
+        count = np.array([len(f) for f in found])
+        pair = np.zeros((len(found), max(int(count.max()), 1), 2), np.int32)
+        for g, f in enumerate(found):
+            pair[g, : len(f)] = f
+        self._pair: wp.array = wp.array(pair, dtype=int, device=self.device)
+        shapes.pairs, shapes.pair = integer_array(count, self.device), self._pair
+        self._integers.append(shapes.pairs)
+
+    def pair_branches(self, start: Array, end: Array, radius: Array) -> None:
+        """Let branches touch each other: all capsules of a world that are apart where they stand now.
+
+        Those that overlap, as a branch and the one it grows from, never touch. A group's worlds share one list: what
+        overlaps in one of them touches in none.
+
+        Args:
+            start, end: Ends of the branches' axes [m], [worlds, capsules, 3].
+            radius: [m], [worlds, capsules].
+        """
+        m, found = self._model, []
+        capsule = self._shapes.slot_capsule.numpy()
+        world = np.full(m.groups * m.width, -1)
+        world[np.asarray(m.world_slot)] = np.arange(m.num_worlds)
+        for g, count in enumerate(self._shapes.count.numpy()):
+            one, two = np.triu_indices(int(count), 1)
+            apart = np.ones(len(one), bool)
+            for slot in range(g * m.width, (g + 1) * m.width):
+                if world[slot] >= 0:
+                    a, b = capsule[slot, one], capsule[slot, two]
+                    both = (a >= 0) & (b >= 0)
+                    apart[both] &= _apart(*(x[world[slot]] for x in (start, end, radius)), a[both], b[both])
+            found.append(np.stack([one[apart], two[apart]], axis=1))
+        self._lay_pairs(self._shapes, found)
 
     def _make_touch(self, launcher: Launcher) -> Any:
         out = self._types.Touch()
@@ -278,10 +309,10 @@ class TouchArrays:
         for name, kind in kinds.items():
             self._fields[name] = launcher.field(kind)
         self._fields["near"] = launcher.field("Vec", places=3 * self.num_arm + 3)
-        for name, field in self._fields.items():
-            setattr(out, name, field.kernel)
-            if name not in ("at", "velocity"):
-                setattr(out, f"{name}_entry", field.entries())
+        capsules = self._shapes.link.shape[1]
+        self._fields["centre"] = launcher.field("Vec", places=capsules)
+        self._fields["reach"] = launcher.field("Real", places=capsules)
+        _set_fields(out, self._fields)
         self._fields["near"].torch.fill_(-FAR)  # lanes without a world: far from absent capsules
         self._path: wp.array = wp.zeros(self._fields["at"].kernel.shape, dtype=int, device=self.device)
         out.path = self._path
@@ -329,6 +360,15 @@ class TouchArrays:
                 *self._lanes.values(),
             )
         )
+
+
+def _apart(start: Array, end: Array, radius: Array, a: IntArray, b: IntArray) -> Array:
+    """Return whether pairs of capsules do not overlap, judged at nine points along each axis."""
+    share = np.linspace(0.0, 1.0, 9)[:, None, None]
+    points = (start + share * (end - start)).transpose(1, 0, 2)
+    gap = np.linalg.norm(points[a][:, :, None] - points[b][:, None, :], axis=3).min(axis=(1, 2))
+    clear: Array = gap > radius[a] + radius[b]
+    return clear
 
 
 def _set_fields(struct: Any, fields: dict[str, LaneArray]) -> None:

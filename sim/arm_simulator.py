@@ -33,7 +33,8 @@ class Contacts:
         friction: Coulomb's coefficient, at first the same in every world.
         creep: Speed below which a contact that sticks still slides [m/s]; friction grows with the speed up to here.
         capacity: Contacts that a world has room for; more are counted in `ArmSimulator.overflow`.
-        arm_branch, arm_line, arm_arm: Which pairs touch. Branches touch the line where `line_mask` says so.
+        arm_branch, arm_line, arm_arm, branch_branch: Which pairs touch. Branches touch the line where `line_mask` says
+            so, and each other where they are apart at the start.
         line_radius: Of the power line [m].
         ground: Height of the ground [m]; None is no ground.
         repeats: Sweeps over the contacts a step at most, until their forces agree.
@@ -47,6 +48,7 @@ class Contacts:
     arm_branch: bool = True
     arm_line: bool = True
     arm_arm: bool = False
+    branch_branch: bool = False
     line_radius: float = 0.01
     ground: float | None = None
     repeats: int = 32
@@ -171,6 +173,10 @@ class ArmSimulator(Simulator):
         self._outlining: dict[bool, Callable[[], None]] = {}
         self.rupture = Rupture(self) if breakable else None
         self.reset()
+        if self.contacts.branch_branch:
+            start, end, radius = (a.numpy()[:, self.capsules.num_arm :] for a in
+                                  (self.capsules.start, self.capsules.end, self.capsules.radius))  # fmt: skip
+            self._touch.pair_branches(start, end, radius)
 
     q: torch.Tensor
     qd: torch.Tensor
@@ -201,7 +207,7 @@ class ArmSimulator(Simulator):
         rule, c = self._touch.kernel[0], self.contacts
         for name in ("stiffness", "damping", "creep", "line_radius"):
             setattr(rule, name, float(getattr(c, name)))
-        for name in ("arm_branch", "arm_line", "arm_arm", "repeats"):
+        for name in ("arm_branch", "arm_line", "arm_arm", "branch_branch", "repeats"):
             setattr(rule, name, int(getattr(c, name)))
         rule.has_ground = int(c.ground is not None)
         rule.ground = 0.0 if c.ground is None else float(c.ground)
