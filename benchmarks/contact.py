@@ -250,7 +250,7 @@ def random_scenes(options: argparse.Namespace, worlds: int = 4096, steps: int = 
         sim.step()
         deepest = np.maximum(deepest, sim.depth.numpy())
         busy += int((sim._touch.count > 0).sum())
-        unsettled += int(sim._touch.unsettled.sum())
+        unsettled += int(sim.unsettled.sum())
     spent = time.perf_counter() - begin
     finite = torch.isfinite(sim.q).all(dim=1).numpy() & np.array([np.isfinite(p).all() for p in sim.state.qpos()])
     print(f"{worlds} random scenes x {steps} steps in {spent:.0f} s: {len(sim.faults())} lost, {int(finite.sum())} "

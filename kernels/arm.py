@@ -117,9 +117,9 @@ def arm_types(dof: int) -> SimpleNamespace:
 def arm_lanes(width: int) -> Any:
     """Return ``ArmLanes``, where a thread places the arms of its group's worlds: a real a world, [rows, dof].
 
-    ``start`` and ``end`` are the capsules' ends [rows, capsules], ``inertia`` [rows, dof x dof]; ``tensor`` and ``first``
-    a link's inertia about the world's origin and its mass times centre, ``moment`` and ``push`` what its velocity
-    products need.
+    ``start`` and ``end`` are the capsules' ends [rows, capsules], ``inertia`` [rows, dof x dof]; ``tensor`` and
+    ``first`` a link's inertia about the world's origin and its mass times centre, ``moment`` and ``push`` what its
+    velocity products need.
     """
     t = types_of(width, 32)
     Real, Vec, Quat, Sym = t.Real, t.Vec, t.Quat, t.Sym
@@ -367,7 +367,7 @@ def arm_functions(dof: int) -> SimpleNamespace:
 
     @wp.func(inline=True)
     def response(w: int, k: Any, link: int, other: int, point: wp.vec3, sign: float, frame: wp.mat33) -> Any:
-        """J^T and L^-1 J^T of a link's point against another link's (or what does not move, -1), in a contact's frame."""
+        """J^T and L^-1 J^T of a link's point against another's (or what does not move, -1), in a contact's frame."""
         J = Tall()
         Y = Tall()
         L = k.factor[w]

@@ -38,8 +38,9 @@ class Contact:
     """One contact. ``link`` is the branch's place in the kernel arrays, 0 where the arm touches something else.
 
     ``second_link`` is the other branch's, 0 where there is none. ``body`` is the arm's link, or LINE, GROUND, BASE or
-    NONE; ``other`` a second link of the arm, or -1. The normal points to the branch ``link``, or to the arm's link where
-    no branch is involved. ``branch`` is the branch's velocity after the step if nothing touched it, against the second's.
+    NONE; ``other`` a second link of the arm, or -1. The normal points to the branch ``link``, or to the arm's link
+    where no branch is involved. ``branch`` is the branch's velocity after the step, against the second's, if no joint
+    accelerated.
     """
 
     link: int
@@ -94,11 +95,11 @@ def contact_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
     capsules] is a capsule's number in its world, -1 where it has none. ``pair`` [groups, pairs, 2] are the capsules of
     branches that may touch each other, ``pairs`` their number.
 
-    ``Space`` is a thread's memory for the contacts of one world: the links on their paths [rows, links], numbered from 1
-    (``number`` of a place in the kernel arrays, ``up`` the parent's), with one world's D, U, r, k in all lanes; what
+    ``Space`` is a thread's memory for the contacts of one world: the links on their paths [rows, links], numbered from
+    1 (``number`` of a place in the kernel arrays, ``up`` the parent's), with one world's D, U, r, k in all lanes; what
     direction d = 3 contact + axis yields to the unit forces of all directions, ``width`` a real: [rows, 3 contacts x
     turns], turns = ceil(3 contacts / width) of that world; the arm's share [rows, dof x turns]; [rows, contacts]; and
-    the direct solve's matrix.
+    the matrix of Newton's method.
     """
     t = layout_of(width, precision)
     Real, Vec, Sym, Mat = t.Real, t.Vec, t.Sym, t.Mat

@@ -17,7 +17,7 @@ __all__ = ["capsule_kernel"]
 
 @cache
 def capsule_kernel(width: int, dof: int) -> Any:
-    """Return the kernel of capsules [worlds, arm's + branches'], x = x_joint + R (middle -+ half), and end-effectors."""
+    """Return the kernel of capsules [worlds, arm's + branches'], x_joint + R (middle -+ half), and end-effectors."""
     t = contact_types(width, 32)
     Model, State, Scratch, Shapes, Touch = t.Model, t.State, t.Scratch, t.Shapes, t.Touch
     Arm, ArmState, ArmLanes = arm_types(dof).Arm, arm_types(dof).ArmState, arm_lanes(width)

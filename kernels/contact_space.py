@@ -144,7 +144,7 @@ def load_link(row: int, k: int, i: int, lever: wp.vec3, force: wp.vec3, touch: A
         touch.f_entry[row, i, axis, k] = touch.f_entry[row, i, axis, k] + force[axis]
 
 
-# ---- one world: its paths ----------------------------------------------------------------------------------------------
+# ---- one world: its paths --------------------------------------------------------------------------------------------
 
 
 @wp.func(inline=True)
@@ -204,7 +204,7 @@ def list_paths(e: int, row: int, lane_: int, w: int, m: Any, s: Any, rule: Conta
     return size
 
 
-# ---- one world: unit responses, a direction a lane ---------------------------------------------------------------------
+# ---- one world: unit responses, a direction a lane -------------------------------------------------------------------
 
 
 @wp.func(inline=True)
@@ -350,7 +350,7 @@ def set_out_contacts(
     find_yields(row, w, width, size, rule, p)
 
 
-# ---- one world: the solve ----------------------------------------------------------------------------------------------
+# ---- one world: the solve --------------------------------------------------------------------------------------------
 
 
 @cache

@@ -112,8 +112,8 @@ def contact_step_kernel(width: int, dof: int) -> Any:
     @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 1})
     def step(
         m: Model, x_in_out: State, a: Arm, y_in_out: ArmState, k_out: ArmWork, rule: ContactRule, shapes: Shapes,
-        touch_out: Touch, space_out: Space, g_out: ArmLanes, slot_world: wp.array(dtype=int), s_out: Scratch, first: int, row: int,
-        substeps: int, h: wp.float64, bound: wp.float64,
+        touch_out: Touch, space_out: Space, g_out: ArmLanes, slot_world: wp.array(dtype=int), s_out: Scratch,
+        first: int, row: int, substeps: int, h: wp.float64, bound: wp.float64,
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()

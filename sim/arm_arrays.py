@@ -284,7 +284,8 @@ class TouchArrays:
         overlaps in one of them touches in none.
 
         Args:
-            start, end: Ends of the branches' axes [m], [worlds, capsules, 3].
+            start: First ends of the branches' axes [m], [worlds, capsules, 3].
+            end: Their other ends.
             radius: [m], [worlds, capsules].
         """
         m, found = self._model, []
@@ -298,7 +299,8 @@ class TouchArrays:
                 if world[slot] >= 0:
                     a, b = capsule[slot, one], capsule[slot, two]
                     both = (a >= 0) & (b >= 0)
-                    apart[both] &= _apart(*(x[world[slot]] for x in (start, end, radius)), a[both], b[both])
+                    w = world[slot]
+                    apart[both] &= _apart(start[w], end[w], radius[w], a[both], b[both])
             found.append(np.stack([one[apart], two[apart]], axis=1))
         self._lay_pairs(self._shapes, found)
 
@@ -337,7 +339,7 @@ class TouchArrays:
                  "velocity": turns}  # fmt: skip
         fields |= {name: launcher.field("Real", places=size) for name, size in sizes.items()}
         _set_fields(out, fields)
-        shapes = dict.fromkeys(("number", "up", "kind"), (rows, places))
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("number", "up", "kind"), (rows, places))
         shapes |= dict.fromkeys(("frame", "still", "force", "spring", "resist", "give"), (rows, capacity))
         shapes |= {"pressing": (rows, DIRECT), "matrix": (rows, 3 * DIRECT, 3 * DIRECT), "right": (rows, 3 * DIRECT)}
         self._space_fields, self._space = fields, {}

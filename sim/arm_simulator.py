@@ -107,6 +107,7 @@ class ArmSimulator(Simulator):
         line_mask: 1 where branches touch the line, int32, to be written in place, [worlds].
         start_q: Joint positions that `reset` returns to, to be written in place [rad], [worlds, dof].
         overflow: Contacts that found no room since the start, int32 [worlds].
+        unsettled: 1 where the contacts' forces of the last substep were still changing, int32 [worlds].
         rupture: Strength of every joint and which are broken (`Rupture`), None unless ``breakable``.
         capsules, line: The same as Warp arrays, for perception.
     """
@@ -158,6 +159,7 @@ class ArmSimulator(Simulator):
             "line_end",
             "line_mask",
             "overflow",
+            "unsettled",
             "depth",
             "branch_force",
             "arm_peak",
@@ -189,6 +191,7 @@ class ArmSimulator(Simulator):
     line_end: torch.Tensor
     line_mask: torch.Tensor
     overflow: torch.Tensor
+    unsettled: torch.Tensor
     depth: torch.Tensor
     branch_force: torch.Tensor
     arm_peak: torch.Tensor

@@ -100,16 +100,16 @@ def simulate_file(options: Simulate) -> Trajectory:
     if options.model is not None:
         raise InputError("--model", "", str(options.model), "only with a case folder")
     with output_folder(options.out) as folder:
-        start_warp()
-        from .effect_option import read_effects
-
-        effects = read_effects(options.effect)
         mechanism = load_mechanism(options.source)
         for line in mechanism.ignored:
             warn(f"{options.source}: left out: {line}")
         steps = steps_of(options, 2.0 if options.seconds is None else options.seconds)
         check_memory(options, steps, options.worlds or 1, mechanism.tree.num_links)
         rows = start_rows(options, mechanism)
+        start_warp()
+        from .effect_option import read_effects  # Warp, after what is quick to refuse
+
+        effects = read_effects(options.effect)
         simulator = make_simulator(options, mechanism.tree, mechanism.gravity, len(rows), effects)
         _set_start(options, simulator, rows)
         advise(options, simulator)

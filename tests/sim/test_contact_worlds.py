@@ -346,19 +346,20 @@ def test_random_scenes_lose_no_world():
     """Step 64 random scenes of trees, line and ground 300 times under random actions: none lost, none silently wrong.
 
     Scenes that start without overlap never get deeper than 15 mm (a joint's 80 N m pressed on the ground), 99 % of
-    their steps stay above 3 mm; no force is beyond what torques and blows can give; no contact is left out; of forces
-    99.9 % push and 99 % are in Coulomb's cone to 2 %: the others are of branches jammed between links, whose repeats
-    end before all agree. ``benchmarks/contact.py --random`` runs 4096 x 1000.
+    their steps stay above 3 mm; no force is beyond what torques and blows can give; no contact is left out; every
+    force pushes and is in Coulomb's cone to round-off, and in 99 % of the worlds' steps all forces agree to 0.5 %.
+    ``benchmarks/contact.py --random`` runs 4096 x 1000.
     """
     sim = busy(64, seed=3, width=simd_width())
     sim.step()
     clear = sim.depth.numpy() == 0.0
     assert clear.sum() > 25
     sim.reset()
-    cone, pull, depths = [], [], []
+    cone, pull, depths, unsettled = [], [], [], []
 
     def look(sim):
         depths.append(sim.depth.numpy().copy())
+        unsettled.append(sim.unsettled.numpy().copy())
         for w in range(0, 64, 4):
             for c in contacts_of(sim, w):
                 push = float(c["normal"] @ c["force"])
@@ -366,7 +367,7 @@ def test_random_scenes_lose_no_world():
                     continue
                 pull.append(push)
                 drag = np.linalg.norm(c["force"] - push * c["normal"])
-                cone.append(drag - 0.5 * max(push, 0.0) * 1.02 - 0.05)
+                cone.append(drag / max(push, 1e-9))
 
     act(sim, 300, look=look)
     depth = np.array(depths)
@@ -376,8 +377,9 @@ def test_random_scenes_lose_no_world():
     assert depth[:, clear].max() < 0.015
     assert np.quantile(depth[:, clear], 0.99) < 0.003
     assert float(sim.arm_peak[torch.as_tensor(clear)].max()) < 2000.0
-    assert np.mean(np.array(cone) < 0.0) > 0.99
-    assert np.mean(np.array(pull) >= -0.05) > 0.999
+    assert len(cone) > 1000 and max(cone) < 0.5 * (1.0 + 1e-4)
+    assert min(pull) > 0.0
+    assert np.mean(unsettled) < 0.01
 
 
 def test_bad_contacts_are_refused():
@@ -391,16 +393,15 @@ def test_bad_contacts_are_refused():
 # ---- branches against branches ---------------------------------------------------------------------------------------
 
 
-def two_posts(torque: float = 8.0) -> Tree:
-    """Make two upright posts 30 mm apart; a constant torque leans the first on the second, where they touch."""
-    one, two = post((-0.5, 0.0, 0.0)), post((-0.47, 0.0, 0.0), length=0.3, stiffness=60.0)
-    both = {
-        name: np.concatenate([getattr(one, name), getattr(two, name)])
-        for name in (
-            "parent joint position rotation mass com inertia stiffness damping axis shape_start shape_end shape_radius"
-        ).split()
-    }
-    return Tree(name="posts", link_name=["one", "two"], shape_link=[0, 1], preload=[[0, torque, 0], [0, 0, 0]], **both)
+def posts_in_a_row(stiffness: list[float], torque: float = 0.0, damping: float = 5.0) -> Tree:
+    """Make upright posts 30 mm apart, 10 mm between them; a constant torque leans the first on the second."""
+    row = [post((-0.5 + 0.03 * k, 0.0, 0.0), stiffness=v, damping=damping) for k, v in enumerate(stiffness)]
+    names = "parent joint position rotation mass com inertia stiffness damping axis shape_start shape_end shape_radius"
+    both = {name: np.concatenate([getattr(p, name) for p in row]) for name in names.split()}
+    push = np.zeros((len(row), 3))
+    push[0, 1] = torque
+    return Tree(name="posts", link_name=[f"post{k}" for k in range(len(row))], shape_link=np.arange(len(row)),
+                preload=push, **both)  # fmt: skip
 
 
 @pytest.mark.parametrize("touch", [True, False])
@@ -410,7 +411,7 @@ def test_a_post_leans_on_another(touch):
     The second is bent by the contact alone: K theta = |r x f|; the first by its torque less that of the contact. What
     is left of the motion after 4 s is far below 1 %.
     """
-    sim = simulator([two_posts()], gravity=(0.0, 0.0, 0.0), contacts={"branch_branch": touch})
+    sim = simulator([posts_in_a_row([100.0, 60.0], 8.0)], gravity=(0.0, 0.0, 0.0), contacts={"branch_branch": touch})
     sim.step(960)
     q = np.array(sim.state.qpos()[0]).reshape(2, 4)
     theta = 2.0 * np.arctan2(q[:, 2], q[:, 0])
@@ -428,29 +429,29 @@ def test_a_post_leans_on_another(touch):
 
 
 def test_branches_that_clash_gain_no_energy():
-    """Throw the crowns of 8 trees into each other: they meet, no energy comes of it, and lanes keep their bits.
+    """Throw four posts in a row at each other in 8 worlds: they meet, no energy comes of it, lanes keep their bits.
 
-    Kinetic and spring energy stays below the start's by more than the step's own ripple, which the same trees show
-    where they may not touch: 50 h of the moving energy (`tests/sim/test_simulator.py`), here 1 %.
+    Kinetic and spring energy stays below 1.01 of the most that the same posts have where they pass each other: the
+    step's own ripple. Frictionless blows of a stiff contact that damps: what meets loses.
     """
     rng = np.random.default_rng(5)
-    trees = [ternary(rng, order=2).with_(damping=np.full(13, 1e-3)) for _ in range(8)]
-    throw = [rng.normal(0.0, 4.0, 39) for _ in trees]
+    trees = [posts_in_a_row([8.0, 10.0, 6.0, 9.0], damping=0.002)] * 8
+    throw = [np.tile([0.2, 4.0, 0.0], 4) * rng.normal(0.0, 1.0, 12) for _ in trees]
     sims = [
-        simulator(trees, width=width, gravity=(0.0, 0.0, 0.0), contacts={"branch_branch": touch, "capacity": 64})
+        simulator(trees, width=width, gravity=(0.0, 0.0, 0.0), contacts={"branch_branch": touch, "arm_branch": False})
         for width, touch in ((1, True), (simd_width(), True), (1, False))
     ]
     for sim in sims:
         sim.state.set_qvel(throw)
     energy, met = [], np.zeros(8, int)
-    for _ in range(48):
+    for _ in range(96):
         for sim in sims:
-            sim.step(5)
+            sim.step(2)
         energy.append([sim.energy()[0].sum(axis=1) for sim in (sims[0], sims[2])])
         met += (sims[0].branch_force.abs().sum(dim=(1, 2)) > 0).numpy()
-    with_, without = np.array(energy).transpose(1, 0, 2)
-    assert (met > 2).sum() >= 4
-    assert (with_ < 1.01 * without.max(axis=0)).all()
-    assert (with_[-1] < 0.99 * without[-1])[met > 2].all()
+    meeting, passing = np.array(energy).transpose(1, 0, 2)
+    assert (met >= 4).all()
+    assert (meeting < 1.01 * passing.max(axis=0)).all()
+    assert (meeting[-1] < 0.95 * passing[-1]).all()
     for a, b in zip(sims[0].state.qpos(), sims[1].state.qpos(), strict=True):
         np.testing.assert_array_equal(a, b)
