@@ -41,7 +41,7 @@ demo: $(VENV)/installed-test  ## grow a forest, simulate it, learn a branch's sp
 		"and $(DEMO)/diagnosis/report.html (what was missing; the answer is $(DEMO)/hidden_answer.json)."
 
 test: $(VENV)/installed-test  ## run all tests (minutes)
-	$(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile
+	$(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 lint: $(VENV)/installed-dev  ## check style, formatting and types
 	$(BIN)/ruff check .

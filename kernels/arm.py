@@ -36,7 +36,7 @@ from .algebra import (
     sub,
     types_of,
 )
-from .real import real
+from .real import real, round_
 
 __all__ = ["arm_functions", "arm_lanes", "arm_types"]
 
@@ -47,6 +47,8 @@ STOP_DAMPING = wp.constant(200.0)
 CREEP = wp.constant(1.0e-3)
 #: Times its speed limit that a joint may be thrown at.
 GUARD = wp.constant(5.0)
+#: 1 / (2 pi)
+WHOLE_TURN = wp.constant(wp.float64(0.15915494309189535))
 #: Corrections of the set of joints at their torque limit.
 TRIES = wp.constant(8)
 
@@ -162,6 +164,14 @@ def entry_vec(entry_in: wp.array4d(dtype=wp.float32), row: int, i: int, lane_: i
 
 
 @wp.func(inline=True)
+def joint_turn(axis: Any, angle: Any, like: Any):
+    """Unit quaternion of a joint's turn, continuous in the angle: who reads poses must see no change of sign."""
+    turns = round_(angle * real(WHOLE_TURN, angle))
+    odd = turns - round_(turns * 0.5) * 2.0
+    return about_axis(axis, angle, like) * (real(1.0, angle) - odd * odd * 2.0)
+
+
+@wp.func(inline=True)
 def place_arms(row: int, a: Any, g: Any):
     """Place every link: p_j = p_{j-1} + R_{j-1} o_j,  R_j = R_{j-1} T_j exp(axis q_j); and the ends of its capsules."""
     like = g.q[row, 0]
@@ -173,7 +183,7 @@ def place_arms(row: int, a: Any, g: Any):
         turn = a.rotation[j]
         axis = spread(a.axis[j], origin)
         pose = pose * type(pose)(real(turn[3], o), real(turn[0], o), real(turn[1], o), real(turn[2], o))
-        pose = renormalised(pose * about_axis(axis, g.q[row, j], pose))
+        pose = renormalised(pose * joint_turn(axis, g.q[row, j], pose))
         axis = rotate(pose, axis)
         g.origin[row, j] = origin
         g.pose[row, j] = pose

@@ -16,7 +16,8 @@ from .case import BranchCase
 from .chapter3_bench import BOX, SAMPLES, TRAINING, draw_springs
 from .chapter3_prior import Advance
 from .diagnostics import Convergence
-from .identify import Identification, Method, Settings, run
+from .identify import Identification, run
+from .identify_settings import Method, Settings
 from .plant_branch import Unknowns
 from .predict import Prediction
 from .simulated_case import Experiment, random_branch, write_simulated_case

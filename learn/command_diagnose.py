@@ -37,12 +37,16 @@ class Diagnose:
 
     def run(self) -> int:
         """Diagnose the case and say what came out and where the report is."""
-        start_warp()
-        from .gap.diagnose import STAGES, diagnose
+        from .case import load_case
         from .gap.diagnosis import Settings
 
         names = tuple(n for entry in self.effects for n in entry.split(",") if n)
         settings = Settings(names, self.tolerance, self.max_effects, self.seed)
+        settings.check()
+        case = load_case(self.case)
+        start_warp()
+        from .gap.diagnose import STAGES, diagnose  # torch and Warp, after what is quick to refuse
+
         stages = {
             "fitting the base": 1,
             "looking at candidates": None,
@@ -53,10 +57,10 @@ class Diagnose:
         says = dict(zip(STAGES, stages, strict=True))
         with bars(stages) as advance:
             found = diagnose(
-                self.case, self.out, settings, resume=self.resume,
+                case, self.out, settings, resume=self.resume,
                 progress=lambda stage, done: advance(says[stage], done),
             )  # fmt: skip
-        for line in found.case.warnings:
+        for line in case.warnings:
             warn(line)
         print(f"{found.sentence} Open {shown(self.out)}/report.html")
         return 0

@@ -61,9 +61,8 @@ class Identify:
 
     def run(self) -> int:
         """Identify the case, say what came out and where the report is; return the exit code."""
-        start_warp()
-        from .identify import Settings, default_iterations, identify
-        from .identify_report import headline
+        from .case import load_case
+        from .identify_settings import Settings, default_iterations
 
         count = default_iterations(self.method) if self.iterations is None else self.iterations
         settings = Settings(
@@ -72,14 +71,20 @@ class Identify:
             temperature=self.temperature,
         )  # fmt: skip
         settings.check()
+        case = load_case(self.case)
+        start_warp()
+        from .identify import identify  # torch and Warp, after what is quick to refuse
+
         stages = {"finding modes": None, "sampling": count * settings.trainings, "predicting": max(1, self.cv)}
         says = dict(zip(("modes", "particles", "prediction"), stages, strict=True))
         with bars(stages) as advance:
             outcome = identify(
-                self.case, self.out, settings, model=self.model, resume=self.resume,
+                case, self.out, settings, model=self.model, resume=self.resume,
                 progress=lambda stage, done: advance(says[stage], done),
             )  # fmt: skip
-        for line in outcome.case.warnings:
+        from .identify_report import headline
+
+        for line in case.warnings:
             warn(line)
         print(f"{headline(outcome)[0]} Open {shown(self.out)}/report.html")
         return 0 if outcome.posterior.convergence.converged else NOT_CONVERGED

@@ -14,8 +14,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.interpolate import make_interp_spline
-from scipy.signal import butter, sosfiltfilt, sosfreqz
 
 from ..kernels.effects_inverse import effect_efforts_kernel
 from ..kernels.inverse import inverse_kernels
@@ -100,6 +98,8 @@ def torque_noise(case: JointCase) -> NoiseEstimate:
 
     Errors of the measured motion come on top in a fit; they are smaller the lower the cut-off.
     """
+    from scipy.signal import sosfreqz  # scipy takes longer to import than a branch, which needs none, to be refused
+
     efforts = tuple(replace(t, output=t.effort) for t in case.trajectories)
     raw = estimate_noise(replace(case, outputs=case.channels, trajectories=efforts))
     _, response = sosfreqz(_filter(case.dt, case.filter_hz), 4096)
@@ -116,11 +116,15 @@ def _at_samples(case: JointCase, effort: Array) -> Array:
 
 def low_pass(values: Array, dt: float, cutoff: float) -> Array:
     """Filter columns [T, C], a row every ``dt`` [s], with zero phase; at ``cutoff`` [Hz] half the amplitude is left."""
+    from scipy.signal import sosfiltfilt
+
     pad = min(len(values) - 1, int(1.0 / (cutoff * dt)))
     return np.ascontiguousarray(sosfiltfilt(_filter(dt, cutoff), values, axis=0, padlen=pad))
 
 
 def _filter(dt: float, cutoff: float) -> Array:
+    from scipy.signal import butter
+
     sections: Array = butter(ORDER, cutoff, fs=1.0 / dt, output="sos")
     return sections
 
@@ -143,6 +147,8 @@ def _sources(case: JointCase, joint: str, sigma: Array) -> list[tuple[int, int]]
 
 def _motion(case: JointCase, trajectory: JointTrajectory, columns: list[tuple[int, int]]) -> Array:
     """Coordinate, rate and acceleration of one joint, shape [T, 3]: derivatives of a quintic spline."""
+    from scipy.interpolate import make_interp_spline
+
     smooth = low_pass(trajectory.output, case.dt, case.filter_hz)
     splines = [make_interp_spline(trajectory.t, smooth[:, c], k=min(5, len(smooth) - 1)) for c, _ in columns]
     return np.stack([s(trajectory.t, nu=d) for s, (_, d) in zip(splines, columns, strict=True)], axis=-1)

@@ -131,7 +131,11 @@ def prior_curvature(target: Target, theta: torch.Tensor) -> torch.Tensor:
 
     A narrow prior (an earlier posterior, the wall of the box) would else pull with a force that no curvature answers.
     """
-    hessian = torch.func.vmap(torch.func.hessian(target.prior))(theta.detach())
+    leaf = theta.detach().requires_grad_()
+    slope = torch.autograd.grad(target.prior(leaf).sum(), leaf, create_graph=True)[0]
+    # a row's density depends on that row alone: one backward pass a coordinate, all at once, gives every row's Hessian
+    each = torch.eye(theta.shape[1]).to(theta)[:, None].expand(-1, *theta.shape)
+    hessian = torch.autograd.grad(slope, leaf, each, is_grads_batched=True)[0].transpose(0, 1)
     value, vector = torch.linalg.eigh(torch.nan_to_num(-0.5 * (hessian + hessian.transpose(1, 2))))
     return (vector * value.clamp(min=0.0)[:, None]) @ vector.transpose(1, 2)
 

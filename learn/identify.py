@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -16,100 +15,23 @@ from .. import __version__
 from ..sim.errors import InputError
 from ..sim.files import output_folder
 from ..sim.tree import Array
-from .acting import Acting
 from .case import BranchCase, JointCase, load_case
 from .checkpoint import Checkpoint, digest
 from .equation_error import noise_of, recordings_of, thinned
+from .identify_settings import Settings
 from .model_file import model_of
 from .noise import NoiseEstimate
-from .plant_branch import Joints, Kind, Unknowns
 from .plants import plant_of
 from .posterior import Posterior, infer
 from .predict import Prediction, pooled, predict
 from .priors import make_prior
 from .rollout import Recording
-from .target import Loss, Target
+from .target import Target
 from .threads import one_thread
 
 Progress = Callable[[str, int], None]
 #: No sensor on a branch is taken for finer than this share of what it reads; exact data would rank rounding errors.
 FINEST = 1e-4
-Method = Literal["svgd", "nnsvgd", "mh", "sgld", "sghmc", "emcee"]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How to identify.
-
-    Attributes:
-        particles: Particles of SVGD, chains of the other samplers.
-        iterations: Updates of the sampler.
-        seed: Of every random number used.
-        method: Sampler; ``nnsvgd`` is SVGD with the inequality prior.
-        prior: What is known beforehand, see `priors.make_prior`; the box always holds.
-        joints, infer, shared, box: Of a branch, what is unknown, see `plant_branch.Unknowns`.
-        cv: Folds of a cross-validation over the trajectories; 0 holds some out once.
-        loss: Likelihood, see `Target`.
-        temperature: Of the published loss, kT.
-        effects: Effects that act; parameters that they leave open are inferred too.
-    """
-
-    particles: int = 64
-    iterations: int = 24
-    seed: int = 0
-    method: Method = "svgd"
-    prior: tuple[str, ...] = ()
-    joints: Joints = "spherical"
-    infer: tuple[Kind, ...] = ("stiffness", "damping")
-    shared: tuple[Kind, ...] = ()
-    box: tuple[str, ...] = ()
-    cv: int = 0
-    loss: Loss = "gaussian"
-    temperature: float = 0.01
-    effects: tuple[Acting, ...] = ()
-
-    @property
-    def unknowns(self) -> Unknowns:
-        """What is unknown."""
-        return Unknowns(self.joints, self.infer, self.shared, self.box, self.effects)
-
-    @property
-    def priors(self) -> tuple[str, ...]:
-        """Priors, the one that the method brings included."""
-        extra = ("inequality",) if self.method == "nnsvgd" and "inequality" not in self.prior else ()
-        return (*self.prior, *extra)
-
-    @property
-    def sampler(self) -> str:
-        """Name of the sampler."""
-        return "svgd" if self.method == "nnsvgd" else self.method
-
-    @property
-    def trainings(self) -> int:
-        """How often a posterior is inferred."""
-        return self.cv + 1
-
-    def check(self) -> None:
-        """Raise `InputError` for numbers that cannot be."""
-        for name, low in (("particles", 8), ("iterations", 10), ("seed", 0)):
-            if getattr(self, name) < low:
-                raise InputError("identify", f"--{name}", str(getattr(self, name)), f"{low} or more")
-        if self.cv < 0 or self.cv == 1:
-            raise InputError("identify", "--cv", str(self.cv), "2 or more folds, or 0 for none")
-        if not 0.0 < self.temperature < np.inf:
-            raise InputError("identify", "--temperature", f"{self.temperature:g}", "a number above 0")
-        for name, kinds in (("infer", self.infer), ("shared", self.shared)):
-            if len(set(kinds)) < len(kinds) or (name == "infer" and not kinds):
-                allowed = f"one or more of {', '.join(get_args(Kind))}, each once"
-                raise InputError("identify", f"--{name}", " ".join(kinds) or "nothing", allowed)
-        for kind in self.shared:
-            if kind not in self.infer:
-                raise InputError("identify", "--shared", kind, f"one of what is inferred: {', '.join(self.infer)}")
-
-
-def default_iterations(method: Method) -> int:
-    """Return how many updates a sampler usually needs from the modes: chains must forget their start and mix."""
-    return {"svgd": 24, "nnsvgd": 24, "mh": 4000, "sgld": 1500, "sghmc": 1200, "emcee": 6000}[method]
 
 
 @dataclass
@@ -325,10 +247,10 @@ def _check_box(case: BranchCase | JointCase, posterior: Posterior) -> None:
 
 
 def identify(
-    folder: str | Path, out: str | Path, settings: Settings, *, model: str | Path | None = None, resume: bool = False,
-    progress: Progress = lambda s, d: None,
+    given: BranchCase | JointCase | str | Path, out: str | Path, settings: Settings, *,
+    model: str | Path | None = None, resume: bool = False, progress: Progress = lambda s, d: None,
 ) -> Outcome:  # fmt: skip
-    """Identify the case in ``folder`` and write posterior, report and figures into ``out``.
+    """Identify a case, as loaded or by its folder, and write posterior, report and figures into ``out``.
 
     The effects of ``model``, a ``model.yaml`` of the same branch, act with the parameters that it gives; its springs
     and dampers are not used.
@@ -339,12 +261,9 @@ def identify(
     Raises:
         InputError: The case, the settings or the model cannot be used; nothing is written then.
     """
-    from .identify_report import content, summary
-    from .report import write_report
-
     target = Path(out)
     with output_folder(target) as work:
-        case = load_case(folder)
+        case = given if isinstance(given, BranchCase | JointCase) else load_case(given)
         settings.check()
         if model is not None:
             settings = replace(settings, effects=model_of(model, case).effects)
@@ -356,6 +275,9 @@ def identify(
         except InputError:
             keep.close()
             raise
+        from .identify_report import content, summary
+        from .report import write_report  # matplotlib, once there is something to show
+
         outcome.posterior.save(work / "posterior.npz")
         (work / "report.json").write_text(json.dumps(summary(outcome), indent=2) + "\n")
         write_report(work, content(outcome))

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.optimize import nnls
-from scipy.signal import savgol_filter
 
 from ..sim.tree import Array
 from .case import JointCase
@@ -27,6 +25,8 @@ def guess_joint(case: JointCase, joint: JointSpec) -> dict[str, float]:
     Golay 1964). They are too soft for motion of fewer than some ten samples a period, and noise makes them worse: a
     start for a search, no estimate.
     """
+    from scipy.optimize import nnls  # here, since scipy takes long to import and branches need none
+
     rows = list(_rows(case, joint))
     if not rows:
         return {}
@@ -46,6 +46,8 @@ def guess_joint(case: JointCase, joint: JointSpec) -> dict[str, float]:
 
 def _rows(case: JointCase, joint: JointSpec) -> Iterator[tuple[Array, Array]]:
     """Yield q'', q', q, sin(q - zero) and the effort of every recording, without the ends of the polynomials."""
+    from scipy.signal import savgol_filter
+
     channel = [c for c, o in enumerate(case.outputs) if (o.joint, o.quantity) == (joint.name, "position")]
     driven = [i for i, item in enumerate(case.inputs) if item.joint == joint.name]
     zero = joint.gravity_torque.zero_angle if joint.gravity_torque else 0.0

@@ -1,4 +1,4 @@
-"""Shared by all tests: the oracles on the path, and no log files in the repository."""
+"""Shared by all tests: the oracles on the path, the long files first, and no log files in the repository."""
 
 import os
 import sys
@@ -8,6 +8,20 @@ import pytest
 
 os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 sys.path.insert(0, str(Path(__file__).parent))
+
+#: Files that take minutes, longest first. They begin first, so that no worker is left with one when the other is done.
+LONG = (
+    "learn/test_gap.py", "test_repository.py", "stories/test_diagnose_story.py", "stories/test_identify_story.py",
+    "learn/test_chapter3.py", "sim/test_contact_worlds.py", "sim/test_contact.py", "stories/test_simulate_story.py",
+    "kernels/test_ptx.py", "sim/test_gpu_ready.py", "sim/test_simulator_effects.py", "learn/test_identify.py",
+    "learn/test_chapter5.py", "sim/test_simulator.py", "kernels/test_effects.py",
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items):
+    """Put the files that take longest first; within a file and among the others the order stays."""
+    ranks = {str(Path(__file__).parent / name): rank for rank, name in enumerate(LONG)}
+    items.sort(key=lambda item: ranks.get(str(item.path), len(LONG)))
 
 
 @pytest.fixture(autouse=True)

@@ -19,8 +19,9 @@ from ..case import BranchCase, JointCase, load_case
 from ..checkpoint import Checkpoint, digest
 from ..equation_error import recordings_of
 from ..fit import Modes, climb_until_settled, precision_at
-from ..identify import default_iterations, split
+from ..identify import split
 from ..identify_report import unit_of
+from ..identify_settings import default_iterations
 from ..input_noise import Colour
 from ..model_file import BranchModel, write_model
 from ..plant import Parameter
@@ -53,12 +54,7 @@ LOUDEST = 0.7
 
 def check(case: BranchCase | JointCase, settings: Settings) -> None:
     """Raise `InputError` for settings that cannot be."""
-    if not 0.0 <= settings.tolerance < 1.0:
-        raise InputError("diagnose", "--tolerance", f"{settings.tolerance:g}", "a share of the motion, 0 to 1")
-    if not 1 <= settings.max_effects <= 4:
-        raise InputError("diagnose", "--max-effects", str(settings.max_effects), "1 to 4")
-    if settings.seed < 0:
-        raise InputError("diagnose", "--seed", str(settings.seed), "0 or more")
+    settings.check()
     names_for(case, settings.effects)
 
 
@@ -378,19 +374,17 @@ def sentence(
 
 
 def diagnose(
-    folder: str | Path, out: str | Path, settings: Settings, *, resume: bool = False,
+    given: BranchCase | JointCase | str | Path, out: str | Path, settings: Settings, *, resume: bool = False,
     progress: Progress = lambda s, d: None,
 ) -> Diagnosis:  # fmt: skip
-    """Diagnose the case in ``folder`` and write verdict, repaired model, figures and report into ``out``.
+    """Diagnose a case, as loaded or by its folder, and write verdict, repaired model, figures and report into ``out``.
 
     Raises:
         InputError: The case or the settings cannot be used; nothing is written then.
     """
-    from .report import write_diagnosis
-
     target = Path(out)
     with output_folder(target) as work:
-        case = load_case(folder)
+        case = given if isinstance(given, BranchCase | JointCase) else load_case(given)
         check(case, settings)
         keep = Checkpoint(target.absolute().parent / f".{target.name}.unfinished", _key(case, settings))
         keep.open(resume)
@@ -400,6 +394,8 @@ def diagnose(
         except InputError:
             keep.close()
             raise
+        from .report import write_diagnosis  # matplotlib, once there is something to show
+
         write_diagnosis(work, found)
         write_repaired(work / "model.yaml", found)
         if found.posterior is not None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+from ...sim.errors import InputError
 from ...sim.tree import Array
-from ..acting import Acting
 from ..case import BranchCase, JointCase
-from ..posterior import Posterior
-from ..rollout import Recording
+
+if TYPE_CHECKING:
+    from ..acting import Acting
+    from ..posterior import Posterior
+    from ..rollout import Recording
 
 VerdictName = Literal["none", "effects", "unknown"]
 
@@ -31,6 +34,19 @@ class Settings:
     max_effects: int = 2
     seed: int = 0
     particles: int = 64
+
+    def check(self) -> None:
+        """Raise `InputError` for numbers that cannot be and names that no effect has."""
+        if not 0.0 <= self.tolerance < 1.0:
+            raise InputError("diagnose", "--tolerance", f"{self.tolerance:g}", "a share of the motion, 0 to 1")
+        if not 1 <= self.max_effects <= 4:
+            raise InputError("diagnose", "--max-effects", str(self.max_effects), "1 to 4")
+        if self.seed < 0:
+            raise InputError("diagnose", "--seed", str(self.seed), "0 or more")
+        from ...sim.effects import effect_of
+
+        for name in self.effects:
+            effect_of(name, "--effects")
 
 
 @dataclass(frozen=True)

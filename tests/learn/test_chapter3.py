@@ -10,6 +10,9 @@ import pytest
 import torch
 import tyro
 from bough.learn import chapter3_baselines as baselines
+from bough.learn import chapter3_prior as prior
+from bough.learn import chapter3_report
+from bough.learn import chapter3_robust as robust
 from bough.learn.chapter3 import Findings, Options
 from bough.learn.chapter3_bench import KT, Bench, Scores
 from bough.learn.chapter3_cost import Cost, exponent, linear_fit
@@ -151,7 +154,15 @@ def command_of(out, *options):
     return tyro.cli(Reproduce, args=arguments, config=(tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone))
 
 
-def test_command_writes_everything(tmp_path, capsys):
+@pytest.fixture
+def sparse(monkeypatch):
+    """Keep of every sweep's values the ends, and what the report singles out."""
+    for module in (prior, chapter3_report):
+        monkeypatch.setattr(module, "TEMPERATURES", (prior.KT, prior.ETA_KT, prior.TEMPERATURES[-1]))
+    monkeypatch.setattr(robust, "NOISES", (robust.NOISES[0], robust.NOISES[-1]))
+
+
+def test_command_writes_everything(tmp_path, capsys, sparse):
     """Write the page with every table and figure inside, numbers in tables.json, and say where; tiny, so no verdicts.
 
     Ten iterations are too few to converge, which the exit code says.

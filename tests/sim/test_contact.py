@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from bough.sim.arm import forward_kinematics
 from bough.sim.arm_arrays import arm_capsules
 from bough.sim.jaco2 import jaco2
 from oracles import mujoco_arm
@@ -108,6 +109,26 @@ def test_a_joint_comes_to_rest_at_its_stop():
         q = drive(simulator([FAR], arm, q=arm.home), 9.0, lambda t, v=speeds: v)[:, 1:3]
         np.testing.assert_allclose(q[-1], limit[1:3], atol=1e-3)
         assert (sign * (q - limit[1:3])).max() < 1e-3
+
+
+def test_the_end_pose_is_the_kinematics_and_never_jumps():
+    """Turn joints 1, 4 and 5 through more than two turns: position and rotation are the host's, the sign never flips.
+
+    Bounds: float32 poses over six joints, 2e-6; a step turns the hand by at most 3 x 2.5 rad/s / 240 / 2 in the
+    quaternion.
+    """
+    arm = free_arm(velocity_limit=10.0)
+    sim = simulator([FAR], arm, q=arm.home)
+
+    def read(sim):
+        return np.r_[sim.q[0].numpy(), sim.end_position[0].numpy(), sim.end_rotation[0].numpy()]
+
+    seen = drive(sim, 6.0, lambda t: [2.5, 0, 0, -2.5, 2.5, 0], read)
+    assert np.abs(np.diff(seen[:, 9:], axis=0)).max() < 0.02
+    for row in seen[::90]:
+        _, _, end = forward_kinematics(arm, row[:6].astype(float))
+        np.testing.assert_allclose(row[6:9], end[0], atol=2e-6)
+        assert abs(row[9:] @ end[1]) > 1.0 - 1e-6
 
 
 def test_speeds_keep_their_limits():

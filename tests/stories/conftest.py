@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import shutil
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from bough.cli import main
 from oracles.branch_case import make_branch_case
 
 
@@ -47,6 +51,23 @@ def bough() -> Bough:
 
 
 @pytest.fixture(scope="session")
+def inside() -> Bough:
+    """Return the function that runs ``bough`` with arguments in the test's own process, which has torch imported.
+
+    For many options of one command: the command as a process of its own, `bough`, is run beside them.
+    """
+
+    def run(*arguments: object) -> Ran:
+        out, err = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), warnings.catch_warnings():
+            warnings.simplefilter("default")
+            code = main([str(a) for a in arguments])
+        return Ran(code, out.getvalue(), err.getvalue())
+
+    return run
+
+
+@pytest.fixture(scope="session")
 def forest(bough: Bough, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder that one ``bough forest`` wrote: three trees in three formats and a picture 320 pixels wide."""
     out = tmp_path_factory.mktemp("forest") / "made" / "here"
@@ -63,6 +84,14 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     """Folder of a branch case made by MuJoCo, and the truth behind it."""
     folder = tmp_path_factory.mktemp("measured") / "case"
     return folder, make_branch_case(folder, 3, samples=60, noise=0.0, rate=25.0)
+
+
+@pytest.fixture(scope="session")
+def brief(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a branch case of two segments in short recordings: enough for what need not be learnt well."""
+    folder = tmp_path_factory.mktemp("brief") / "case"
+    make_branch_case(folder, 3, segments=2, samples=40, noise=0.02, rate=25.0)
+    return folder
 
 
 @pytest.fixture

@@ -118,11 +118,11 @@ def _single(case):
     ("spoil", "words"),
     [(_quiet, "push the branch"), (_noisy, "push harder"), (_single, "push in two more directions")],
 )
-def test_a_poor_case_gets_a_reason_instead_of_a_name(bough, hidden, tmp_path, spoil, words):
+def test_a_poor_case_gets_a_reason_instead_of_a_name(inside, hidden, tmp_path, spoil, words):
     """Say unknown, why, and which probe is missing; write a verdict all the same."""
     case = Path(shutil.copytree(hidden, tmp_path / "poor"))
     spoil(case)
-    done = bough("diagnose", case, *FEW, "--out", "out")
+    done = inside("diagnose", case, *FEW, "--out", "out")
     assert done.code == 0, done.err
     verdict = json.loads(Path("out/verdict.json").read_text())
     assert verdict["verdict"] == "unknown" and verdict["effects"] == []

@@ -40,12 +40,12 @@ def test_identify_writes_posterior_and_report(identified, measured):
     np.testing.assert_allclose(learnt, truth["K"], rtol=0.12)
 
 
-def test_posterior_feeds_a_forest_and_the_next_case(bough, identified, measured):
+def test_posterior_feeds_a_forest_and_the_next_case(bough, inside, identified, measured):
     """Randomise a forest by a posterior, and take it as the prior of another run, whose intervals do not widen."""
     posterior = identified / "posterior.npz"
     done = bough("forest", "--posterior", posterior, "--count", 3, "--picture-width", 0, "--out", "forest")
     assert done.code == 0, done.err
-    done = bough("identify", measured[0], *QUICK, "--prior", posterior, "inequality", "--out", "next")
+    done = inside("identify", measured[0], *QUICK, "--prior", posterior, "inequality", "--out", "next")
     assert done.code == 0, done.out + done.err
     before, after = (json.loads((p / "report.json").read_text())["parameters"] for p in (identified, Path("next")))
     width = {name: [np.log(r[name]["high"] / r[name]["low"]) for r in (before, after)] for name in before}
@@ -61,17 +61,17 @@ def test_posterior_feeds_a_forest_and_the_next_case(bough, identified, measured)
         ("--loss", "published", "--temperature", 0.05, *QUICK),
     ],
 )
-def test_options_run(bough, case, options):
+def test_options_run(inside, brief, options):
     """Every kind of option makes a report; some honestly do not converge on so short a run."""
-    done = bough("identify", case, *options, "--out", "out")
+    done = inside("identify", brief, *options, "--out", "out")
     assert done.code in (0, 3), done.err
     report = json.loads(Path("out/report.json").read_text())
     assert report["converged"] is (done.code == 0)
 
 
-def test_short_chains_did_not_converge(bough, case):
+def test_short_chains_did_not_converge(inside, brief):
     """Say so in the first line of the report and by exit code 3; results are there all the same."""
-    done = bough("identify", case, "--method", "mh", "--particles", 16, "--iterations", 30, "--out", "out")
+    done = inside("identify", brief, "--method", "mh", "--particles", 16, "--iterations", 30, "--out", "out")
     assert done.code == 3
     assert "did not converge" in done.out
     page = Path("out/report.html").read_text()
@@ -79,18 +79,18 @@ def test_short_chains_did_not_converge(bough, case):
     assert len(np.load("out/posterior.npz")["particles"]) == 64
 
 
-def test_cross_validation_predicts_every_trajectory(bough, case):
+def test_cross_validation_predicts_every_trajectory(inside, brief):
     """Hold every trajectory out once."""
-    done = bough("identify", case, *QUICK, "--cv", 2, "--out", "out")
+    done = inside("identify", brief, *QUICK, "--cv", 2, "--out", "out")
     assert done.code == 0, done.out + done.err
     report = json.loads(Path("out/report.json").read_text())
-    files = yaml.safe_load((case / "meta.yaml").read_text())["trajectories"]
+    files = yaml.safe_load((brief / "meta.yaml").read_text())["trajectories"]
     assert sorted(report["trajectories"]["test"]) == list(range(1, len(files) + 1))
 
 
-def test_a_killed_run_goes_on_to_the_same_bits(bough, case):
+def test_a_killed_run_goes_on_to_the_same_bits(bough, inside, brief):
     """Kill a run when it has reached something; --resume ends where the undisturbed run does."""
-    options = ["identify", case, "--particles", 24, "--iterations", 60, "--out"]
+    options = ["identify", brief, "--particles", 24, "--iterations", 60, "--out"]
     assert bough(*options, "whole").code == 0
     state = Path(".killed.unfinished/posterior.sampler")
     command = [sys.executable, "-m", "bough", *map(str, options), "killed"]
@@ -100,7 +100,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(bough, case):
     os.kill(run.pid, signal.SIGKILL)
     run.wait()
     assert state.exists() and not Path("killed").exists()
-    bough("identify", case, *QUICK, "--out", "killed", "--resume").refused("--resume", "other settings")
+    inside("identify", brief, *QUICK, "--out", "killed", "--resume").refused("--resume", "other settings")
     done = bough(*options, "killed", "--resume")
     assert done.code == 0, done.err
     a, b = (np.load(f"{name}/posterior.npz")["particles"] for name in ("whole", "killed"))
@@ -108,9 +108,9 @@ def test_a_killed_run_goes_on_to_the_same_bits(bough, case):
     assert not Path(".killed.unfinished").exists()
 
 
-def test_resume_without_anything_to_resume_begins(bough, case):
+def test_resume_without_anything_to_resume_begins(inside, brief):
     """A run that was killed before it had reached anything begins anew."""
-    assert bough("identify", case, *QUICK, "--out", "out", "--resume").code == 0
+    assert inside("identify", brief, *QUICK, "--out", "out", "--resume").code == 0
 
 
 @pytest.mark.parametrize(
@@ -130,9 +130,9 @@ def test_resume_without_anything_to_resume_begins(bough, case):
         (("--temperature", 0), ("--temperature",)),
     ],
 )
-def test_impossible_options(bough, case, options, words):
+def test_impossible_options(inside, brief, options, words):
     """Refuse in one line; nothing is written, nothing is left."""
-    bough("identify", case, *options, "--out", "out").refused(*words)
+    inside("identify", brief, *options, "--out", "out").refused(*words)
     assert not Path("out").exists() and not Path(".out.unfinished").exists()
 
 
@@ -144,10 +144,10 @@ def spoil(case: Path, columns: slice) -> None:
     np.savetxt(path, rows, delimiter=",", header=path.read_text().splitlines()[0], comments="")
 
 
-def test_trajectories_without_motion_or_force(bough, case):
+def test_trajectories_without_motion_or_force(inside, case):
     """Name the file that has none."""
     kept = Path(shutil.copytree(case, "kept"))
     spoil(case, slice(4, 10))
-    bough("identify", case, "--out", "out").refused("traj_01.csv", "no motion")
+    inside("identify", case, "--out", "out").refused("traj_01.csv", "no motion")
     spoil(kept, slice(1, 4))
-    bough("identify", kept, "--out", "out").refused("traj_01.csv", "no force")
+    inside("identify", kept, "--out", "out").refused("traj_01.csv", "no force")

@@ -68,12 +68,12 @@ def test_a_strange_mjcf_moves_as_in_mujoco(bough, tmp_path, seed):
         np.testing.assert_allclose(same, 1.0, atol=1e-9)
 
 
-def test_a_grown_tree_in_many_worlds(bough, forest):
+def test_a_grown_tree_in_many_worlds(inside, forest):
     """Simulate a forest's file: copies without --bend move alike, with it each in its own way, as its seed says."""
     tree = forest / "tree_0001.xml"
     for out, more in (("alike", []), ("bent", ["--bend", 0.1]), ("fewer", ["--bend", 0.1, "--precision", 32])):
         worlds = 3 if out == "fewer" else 5
-        done = bough("simulate", tree, "--worlds", worlds, "--seconds", 0.2, *more, "--out", out)
+        done = inside("simulate", tree, "--worlds", worlds, "--seconds", 0.2, *more, "--out", out)
         assert done.code == 0, done.err
         assert done.err == ""
         assert done.out == f"{worlds} worlds of 17 bodies, 0.2 s in 48 steps: {out}/trajectory.npz, trajectory.png\n"
@@ -86,40 +86,40 @@ def test_a_grown_tree_in_many_worlds(bough, forest):
     assert np.asarray(PIL.Image.open("bent/trajectory.png")).std() > 5
 
 
-def test_mjcf_and_urdf_of_one_tree_move_alike(bough, forest):
+def test_mjcf_and_urdf_of_one_tree_move_alike(inside, forest):
     """Write and read the same mechanism in both formats: equal to round-off, names included."""
     for suffix in ("xml", "urdf"):
-        done = bough("simulate", forest / f"tree_0002.{suffix}", "--seconds", 0.25, "--out", suffix)
+        done = inside("simulate", forest / f"tree_0002.{suffix}", "--seconds", 0.25, "--out", suffix)
         assert done.code == 0, done.err
     a, b = np.load("xml/trajectory.npz"), np.load("urdf/trajectory.npz")
     assert (a["body_name"] == b["body_name"]).all()
     np.testing.assert_allclose(a["body_pos"], b["body_pos"], atol=1e-9)
 
 
-def test_substeps_are_smaller_steps(bough, tmp_path):
+def test_substeps_are_smaller_steps(inside, tmp_path):
     """Take 10 steps of 4 substeps: the same as every fourth of 40 steps a quarter as long."""
     (tmp_path / "arm.xml").write_text(PENDULUM.format(gravity=-9.81))
     np.save("start.npy", [0.7])
     for out, dt, substeps in (("coarse", 0.01, 4), ("fine", 0.0025, 1)):
-        done = bough("simulate", "arm.xml", "--seconds", 0.1, "--dt", dt, "--substeps", substeps, "--qpos", "start.npy",
-                     "--out", out)  # fmt: skip
+        done = inside("simulate", "arm.xml", "--seconds", 0.1, "--dt", dt, "--substeps", substeps,
+                      "--qpos", "start.npy", "--out", out)  # fmt: skip
         assert done.code == 0, done.err
     coarse, fine = (np.load(f"{out}/trajectory.npz")["body_quat"] for out in ("coarse", "fine"))
     np.testing.assert_allclose(coarse, fine[::4], atol=1e-13)
 
 
-def test_frozen_worlds_are_named(bough, tmp_path):
+def test_frozen_worlds_are_named(inside, tmp_path):
     """Name world, link and time of what left the bound; exit 3 only where no world is left."""
     (tmp_path / "arm.xml").write_text(PENDULUM.format(gravity=-1e7))
     (tmp_path / "start.txt").write_text("0  # hangs still\n1.0\n")
-    some = bough("simulate", "arm.xml", "--qpos", "start.txt", "--seconds", 0.1, "--out", "some")
+    some = inside("simulate", "arm.xml", "--qpos", "start.txt", "--seconds", 0.1, "--out", "some")
     assert some.code == 0
     assert some.err.startswith("bough: warning: world 1 was frozen at ") and "link arm" in some.err
     assert len(some.err.splitlines()) == 1 and "1 frozen" in some.out
     frozen = np.load("some/trajectory.npz")["frozen_time"]
     assert np.isnan(frozen[0]) and 0.0 <= frozen[1] < 0.1
     (tmp_path / "start.txt").write_text("1.0")
-    none = bough("simulate", "arm.xml", "--qpos", "start.txt", "--seconds", 0.1, "--out", "none")
+    none = inside("simulate", "arm.xml", "--qpos", "start.txt", "--seconds", 0.1, "--out", "none")
     assert none.code == 3
 
 
@@ -149,7 +149,7 @@ def test_a_case_moves_as_the_same_branch_in_mujoco(bough, measured):
 
 
 def heed_ctrl_c() -> None:
-    """Give a program Ctrl-C as a terminal does: what a shell runs in the background ignores it, and so do its children."""
+    """Let a program hear Ctrl-C as a terminal does: what a shell runs in the background ignores it, children too."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
