@@ -327,15 +327,6 @@ def lever(w: int, k: Any, j: int, point: wp.vec3):
     return wp.cross(k.axis[w, j], point - k.origin[w, j])
 
 
-@wp.func(inline=True)
-def point_velocity(w: int, k: Any, link: int, point: wp.vec3, v: Any):
-    """J v of a point of a link."""
-    out = wp.vec3(0.0, 0.0, 0.0)
-    for j in range(link + 1):
-        out += lever(w, k, j, point) * v[j]
-    return out
-
-
 @cache
 def arm_functions(dof: int) -> SimpleNamespace:
     """Return device functions whose matrices have the arm's size."""
