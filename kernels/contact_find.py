@@ -167,11 +167,10 @@ def nominal_velocity(row: int, lane_: int, i: int, lever: wp.vec3, s: Any, touch
 
 
 @wp.func
-def add_branch_contact(
-    piece: Piece, row: int, body: int, gap: float, normal: wp.vec3, point: wp.vec3, rule: ContactRule, s: Any,
-    touch: Any, h: float,
+def contact_of(
+    piece: Piece, row: int, body: int, gap: float, normal: wp.vec3, point: wp.vec3, s: Any, touch: Any, h: float
 ):  # fmt: skip
-    """Keep a contact of a branch with anything but a branch."""
+    """Return the contact of a branch with something at a point."""
     c = Contact()
     c.link = piece.link
     c.capsule = piece.capsule
@@ -182,7 +181,7 @@ def add_branch_contact(
     c.point = point
     c.lever = point - vec3_of(touch.at[row, piece.link], piece.lane)
     c.branch = nominal_velocity(row, piece.lane, piece.link, c.lever, s, touch, h)
-    add_contact(piece.world, rule, c)
+    return c
 
 
 @wp.func(inline=True)
@@ -214,19 +213,11 @@ def meet_branch(one: Piece, two: Piece, row: int, rule: ContactRule, s: Any, tou
         gap, normal, point = crossing(one.middle - one.half, one.middle + one.half, two.middle - two.half,
                                       two.middle + two.half, one.radius + two.radius)  # fmt: skip
         if gap < one.reach + two.reach:
-            c = Contact()
-            c.link = one.link
-            c.capsule = one.capsule
+            on_surface = point + normal * (two.radius + 0.5 * gap)
+            c = contact_of(one, row, NONE, gap, normal, on_surface, s, touch, h)
             c.second_link = two.link
             c.second_capsule = two.capsule
-            c.body = NONE
-            c.other = -1
-            c.gap = gap
-            c.normal = normal
-            c.point = point + normal * (two.radius + 0.5 * gap)
-            c.lever = c.point - vec3_of(touch.at[row, one.link], one.lane)
-            c.second_lever = c.point - vec3_of(touch.at[row, two.link], two.lane)
-            c.branch = nominal_velocity(row, one.lane, one.link, c.lever, s, touch, h)
+            c.second_lever = on_surface - vec3_of(touch.at[row, two.link], two.lane)
             c.branch = c.branch - nominal_velocity(row, two.lane, two.link, c.second_lever, s, touch, h)
             add_contact(one.world, rule, c)
 
@@ -309,7 +300,7 @@ def meet_arm(
             if body < 0:
                 body = BASE
             on_surface = point + normal * (a.shape_radius[j] + 0.5 * gap)
-            add_branch_contact(piece, row, body, gap, normal, on_surface, rule, s, touch, h)
+            add_contact(w, rule, contact_of(piece, row, body, gap, normal, on_surface, s, touch, h))
 
 
 @wp.func
@@ -322,7 +313,7 @@ def meet_line(piece: Piece, row: int, rule: ContactRule, s: Any, touch: Any, h: 
                                           rule.line_end[w], piece.radius + rule.line_radius)  # fmt: skip
             if gap < piece.reach:
                 on_surface = point + normal * (rule.line_radius + 0.5 * gap)
-                add_branch_contact(piece, row, LINE, gap, normal, on_surface, rule, s, touch, h)
+                add_contact(w, rule, contact_of(piece, row, LINE, gap, normal, on_surface, s, touch, h))
 
 
 @wp.func
@@ -335,4 +326,4 @@ def meet_ground(
         if gap < piece.reach:
             point = wp.vec3(end[0], end[1], rule.ground + 0.5 * gap)
             up = wp.vec3(0.0, 0.0, 1.0)
-            add_branch_contact(piece, row, GROUND, gap, up, point, rule, s, touch, h)
+            add_contact(piece.world, rule, contact_of(piece, row, GROUND, gap, up, point, s, touch, h))
