@@ -350,6 +350,18 @@ def arm_functions(dof: int) -> SimpleNamespace:
         return L
 
     @wp.func(inline=True)
+    def transposed_solved(L: Square, z: Row) -> Row:
+        """L^-T z"""
+        y = Row()
+        for step in range(dof):
+            i = dof - 1 - step
+            total = z[i]
+            for k in range(i + 1, dof):
+                total -= L[k, i] * y[k]
+            y[i] = total * L[i, i]
+        return y
+
+    @wp.func(inline=True)
     def solved(L: Square, b: Row) -> Row:
         """A^-1 b"""
         y = Row()
@@ -358,13 +370,7 @@ def arm_functions(dof: int) -> SimpleNamespace:
             for k in range(i):
                 total -= L[i, k] * y[k]
             y[i] = total * L[i, i]
-        for step in range(dof):
-            i = dof - 1 - step
-            total = y[i]
-            for k in range(i + 1, dof):
-                total -= L[k, i] * y[k]
-            y[i] = total * L[i, i]
-        return y
+        return transposed_solved(L, y)
 
     @wp.func(inline=True)
     def response(w: int, k: Any, link: int, other: int, point: wp.vec3, sign: float, frame: wp.mat33) -> Any:
@@ -415,16 +421,7 @@ def arm_functions(dof: int) -> SimpleNamespace:
     @wp.func(inline=True)
     def push_arm(w: int, k: Any, z: Row, h: float):
         """v' += h A^-1 sum J^T f, with z = L^-1 sum J^T f."""
-        L = k.factor[w]
-        v = k.velocity[w]
-        y = Row()
-        for step in range(dof):
-            i = dof - 1 - step
-            total = z[i]
-            for m in range(i + 1, dof):
-                total -= L[m, i] * y[m]
-            y[i] = total * L[i, i]
-        k.velocity[w] = v + y * h
+        k.velocity[w] = k.velocity[w] + transposed_solved(k.factor[w], z) * h
 
     @wp.func(inline=True)
     def judge_servos(w: int, a: Any, x: Any, k: Any, h: float) -> int:

@@ -194,6 +194,13 @@ def skew(v: Any, like: Any):
 
 
 @wp.func(inline=True)
+def implicit_inertia(e: int, i: int, m: Any, h: wp.float64):
+    """k = armature + h D', what joins a joint's inertia."""
+    damping = m.damping[e, i]
+    return fma(damping, real(h, damping), m.armature[e, i])
+
+
+@wp.func(inline=True)
 def fold_links(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64):
     """Fold every link's articulated inertia into its parent's, from the tips inward."""
     n = m.count[e]
@@ -268,7 +275,7 @@ def fold_spherical(
     """
     q = x.coordinate[e, i]
     damping = m.damping[e, i]
-    k = fma(damping, real(h, damping), m.armature[e, i])
+    k = implicit_inertia(e, i, m, h)
     spring = half_angle_log(q) * m.stiffness[e, i]
     sprung = sub_scaled(effort, type(n0)(q.x, q.y, q.z), spring)
     t = sub_scaled(rotate(s.pose[row, i], sprung), s.relative[row, i], damping) - n0
@@ -313,7 +320,7 @@ def fold_other(
     else:
         axis = rotate(s.pose[row, i], m.axis[e, i])
         damping = m.damping[e, i]
-        k = fma(damping, real(h, damping), m.armature[e, i])
+        k = implicit_inertia(e, i, m, h)
         t = effort.x - m.stiffness[e, i] * x.coordinate[e, i].x - damping * x.velocity[e, i].x
         if kind == REVOLUTE:
             un = A * axis
@@ -393,8 +400,7 @@ def hand_in(e: int, row: int, i: int, p: int, m: Any, s: Any, A: Any, B: Any, M:
 @wp.func(inline=True)
 def spherical_acceleration(e: int, row: int, i: int, m: Any, s: Any, alpha: Any, accel: Any, h: wp.float64):
     """qdd = D t - D B a - (1 - k D) al, of the parent's deviations al and a at the joint's point."""
-    damping = m.damping[e, i]
-    k = fma(damping, real(h, damping), m.armature[e, i])
+    k = implicit_inertia(e, i, m, h)
     return add_mul(sub_mul(s.u[row, i], s.U[row, i], accel), s.D[row, i], alpha * k) - alpha
 
 

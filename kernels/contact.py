@@ -195,6 +195,14 @@ def frame_of(n: wp.vec3):
 
 
 @wp.func
+def within_cone(fn: float, f1: float, f2: float, mu: float):
+    """The force (n, t1, t2), none where it pulls, its friction cut to mu f_n."""
+    normal = wp.max(fn, 0.0)
+    keep = wp.min(1.0, mu * normal / wp.max(wp.sqrt(f1 * f1 + f2 * f2), 1.0e-12))
+    return wp.vec3(normal, f1 * keep, f2 * keep)
+
+
+@wp.func
 def grip(v: wp.vec3, C: wp.mat33, spring: float, resist: float, mu: float, creep: float, guess: float):
     """Solve one contact that yields C [s/kg] to its own force: the force in its frame (n, t1, t2), and 1/d.
 
@@ -243,8 +251,5 @@ def grip(v: wp.vec3, C: wp.mat33, spring: float, resist: float, mu: float, creep
                     if wp.abs(new - x) <= EXACT * x:
                         busy = 0
                     x = new
-        fn = wp.max(fn, 0.0)
-        drag = wp.sqrt(f1 * f1 + f2 * f2)
-        keep = wp.min(1.0, mu * fn / wp.max(drag, 1.0e-12))
-        force = wp.vec3(fn, f1 * keep, f2 * keep)
+        force = within_cone(fn, f1, f2, mu)
     return force, x

@@ -42,8 +42,15 @@ from .algebra import (
     vec3_of,
 )
 from .arm import arm_types
-from .articulated import FIXED, PRISMATIC, SPHERICAL, scalar_acceleration, spherical_acceleration
-from .contact import ContactRule, contact_types, frame_of, grip, resistance
+from .articulated import (
+    FIXED,
+    PRISMATIC,
+    SPHERICAL,
+    implicit_inertia,
+    scalar_acceleration,
+    spherical_acceleration,
+)
+from .contact import ContactRule, contact_types, frame_of, grip, resistance, within_cone
 from .real import fma, lane, real
 
 __all__ = ["space_functions"]
@@ -104,6 +111,30 @@ def respond(e: int, row: int, m: Any, s: Any, touch: Any, h: wp.float64):
 
 
 @wp.func(inline=True)
+def cross_joint(kind: int, D: Any, U: Any, k: Any, n: Any, f: Any):
+    """What a moment n and a force f on a link make its joint do (one axis: in ``x``), and what they pass on.
+
+    ``k`` is armature + h D' of a spherical joint, 1 / d of one of one axis (`articulated.fold_scalar`).
+    """
+    answer = n
+    moment = n
+    force = f
+    if kind == SPHERICAL:
+        answer = D * n
+        moment = answer * k
+        force = f - transposed_mul(U, n)
+    else:
+        t = dot(U.z, n)
+        if kind == PRISMATIC:
+            t = dot(U.z, f)
+        rate = t * k
+        answer = type(n)(rate, rate, rate)
+        moment = sub_scaled(n, U.x, rate)
+        force = sub_scaled(f, U.y, rate)
+    return answer, moment, force
+
+
+@wp.func(inline=True)
 def press_links(e: int, row: int, m: Any, s: Any, touch: Any, h: wp.float64):
     """Add the contacts' moments ``touch.n`` and forces ``touch.f`` to what the joints' accelerations are made from."""
     for step in range(m.count[e]):
@@ -112,23 +143,16 @@ def press_links(e: int, row: int, m: Any, s: Any, touch: Any, h: wp.float64):
             n = touch.n[row, i]
             f = touch.f[row, i]
             kind = m.kind[e, i]
-            if kind == SPHERICAL:
-                damping = m.damping[e, i]
-                k = fma(damping, real(h, damping), m.armature[e, i])
-                turn = s.D[row, i] * n
-                s.u[row, i] = s.u[row, i] + turn
-                f = f - transposed_mul(s.U[row, i], n)
-                n = turn * k
-            elif kind != FIXED:
-                U = s.U[row, i]
+            if kind != FIXED:
                 u = s.u[row, i]
-                t = dot(U.z, n)
-                if kind == PRISMATIC:
-                    t = dot(U.z, f)
-                rate = t * u.y
-                s.u[row, i] = type(u)(u.x + rate, u.y, u.z)
-                n = sub_scaled(n, U.x, rate)
-                f = sub_scaled(f, U.y, rate)
+                k = u.y
+                if kind == SPHERICAL:
+                    k = implicit_inertia(e, i, m, h)
+                answer, n, f = cross_joint(kind, s.D[row, i], s.U[row, i], k, n, f)
+                if kind == SPHERICAL:
+                    s.u[row, i] = u + answer
+                else:
+                    s.u[row, i] = type(u)(u.x + answer.x, u.y, u.z)
             p = m.parent[e, i]
             if p > 0:
                 touch.n[row, p] = add_cross(touch.n[row, p] + n, s.r[row, i], f)
@@ -136,12 +160,12 @@ def press_links(e: int, row: int, m: Any, s: Any, touch: Any, h: wp.float64):
 
 
 @wp.func(inline=True)
-def load_link(row: int, k: int, i: int, lever: wp.vec3, force: wp.vec3, touch: Any):
-    """Put a force at a point of a link of one world of the group."""
+def load_link(row: int, k: int, i: int, lever: wp.vec3, force: wp.vec3, x: Any):
+    """Add a force at a point of a link to its moments ``x.n`` and forces ``x.f``, in one lane."""
     moment = wp.cross(lever, force)
     for axis in range(3):
-        touch.n_entry[row, i, axis, k] = touch.n_entry[row, i, axis, k] + moment[axis]
-        touch.f_entry[row, i, axis, k] = touch.f_entry[row, i, axis, k] + force[axis]
+        x.n_entry[row, i, axis, k] = x.n_entry[row, i, axis, k] + moment[axis]
+        x.f_entry[row, i, axis, k] = x.f_entry[row, i, axis, k] + force[axis]
 
 
 # ---- one world: its paths --------------------------------------------------------------------------------------------
@@ -179,8 +203,7 @@ def copy_link(e: int, row: int, lane_: int, i: int, at: int, m: Any, s: Any, p: 
             real(lane(D.xx, lane_), o), real(lane(D.xy, lane_), o), real(lane(D.xz, lane_), o),
             real(lane(D.yy, lane_), o), real(lane(D.yz, lane_), o), real(lane(D.zz, lane_), o),
         )  # fmt: skip
-        damping = m.damping[e, i]
-        p.k[row, at] = real(lane(fma(damping, real(h, damping), m.armature[e, i]), lane_), o)
+        p.k[row, at] = real(lane(implicit_inertia(e, i, m, h), lane_), o)
     elif kind != FIXED:
         inverse = s.u[row, i].y
         p.k[row, at] = real(lane(inverse, lane_), inverse)
@@ -208,25 +231,20 @@ def list_paths(e: int, row: int, lane_: int, w: int, m: Any, s: Any, rule: Conta
 
 
 @wp.func(inline=True)
+def turns_of(count: int, width: int):
+    """How many reals hold the three directions of ``count`` contacts."""
+    return (3 * count + width - 1) // width
+
+
+@wp.func(inline=True)
 def carry_inward(row: int, at: int, p: Any):
     """Hand a link's moments and forces to its parent; its joint's own answer stays in ``alpha``, or ``alpha.x``."""
     n = p.n[row, at]
     f = p.f[row, at]
     kind = p.kind[row, at]
-    U = p.U[row, at]
-    if kind == SPHERICAL:
-        turn = p.D[row, at] * n
-        p.alpha[row, at] = turn
-        f = f - transposed_mul(U, n)
-        n = turn * p.k[row, at]
-    elif kind != FIXED:
-        t = dot(U.z, n)
-        if kind == PRISMATIC:
-            t = dot(U.z, f)
-        rate = t * p.k[row, at]
-        p.alpha[row, at] = type(n)(rate, rate, rate)
-        n = sub_scaled(n, U.x, rate)
-        f = sub_scaled(f, U.y, rate)
+    if kind != FIXED:
+        answer, n, f = cross_joint(kind, p.D[row, at], p.U[row, at], p.k[row, at], n, f)
+        p.alpha[row, at] = answer
     up = p.up[row, at]
     p.n[row, up] = add_cross(p.n[row, up] + n, p.r[row, at], f)
     p.f[row, up] = p.f[row, up] + f
@@ -253,15 +271,6 @@ def answer_outward(row: int, at: int, p: Any):
 
 
 @wp.func(inline=True)
-def give_unit(row: int, lane_: int, at: int, lever: wp.vec3, force: wp.vec3, p: Any):
-    """Add a force at a point of a link in one lane."""
-    moment = wp.cross(lever, force)
-    for axis in range(3):
-        p.n_entry[row, at, axis, lane_] = p.n_entry[row, at, axis, lane_] + moment[axis]
-        p.f_entry[row, at, axis, lane_] = p.f_entry[row, at, axis, lane_] + force[axis]
-
-
-@wp.func(inline=True)
 def give_units(row: int, w: int, first: int, width: int, size: int, rule: ContactRule, p: Any):
     """Put one unit force of a contact into every lane: directions ``first``, ``first`` + 1, ..., three a contact."""
     o = real(0.0, p.k[row, 0])
@@ -275,13 +284,12 @@ def give_units(row: int, w: int, first: int, width: int, size: int, rule: Contac
             link = rule.record[w, n].link
             if link > 0:
                 frame = p.frame[row, n]
-                axis = (first + lane_) % 3
-                force = wp.vec3(frame[axis, 0], frame[axis, 1], frame[axis, 2])
-                give_unit(row, lane_, p.number[row, link], rule.record[w, n].lever, force, p)
+                force = frame[(first + lane_) % 3]
+                load_link(row, lane_, p.number[row, link], rule.record[w, n].lever, force, p)
                 second = rule.record[w, n].second_link
                 if second > 0:
                     back = wp.vec3(0.0, 0.0, 0.0) - force
-                    give_unit(row, lane_, p.number[row, second], rule.record[w, n].second_lever, back, p)
+                    load_link(row, lane_, p.number[row, second], rule.record[w, n].second_lever, back, p)
 
 
 @wp.func(inline=True)
@@ -301,8 +309,7 @@ def read_yields(row: int, w: int, turn: int, turns: int, rule: ContactRule, p: A
                 a = a - add_cross(p.accel[row, at], p.alpha[row, at], lever)
             frame = p.frame[row, j]
             for axis in range(3):
-                along = wp.vec3(frame[axis, 0], frame[axis, 1], frame[axis, 2])
-                p.branch[row, (3 * j + axis) * turns + turn] = dot(a, spread(along, accel))
+                p.branch[row, (3 * j + axis) * turns + turn] = dot(a, spread(frame[axis], accel))
         else:
             for axis in range(3):
                 p.branch[row, (3 * j + axis) * turns + turn] = o
@@ -315,7 +322,7 @@ def find_yields(row: int, w: int, width: int, size: int, rule: ContactRule, p: A
     like = p.n[row, 0]
     p.alpha[row, 0] = type(like)(o, o, o)
     p.accel[row, 0] = type(like)(o, o, o)
-    turns = (3 * rule.count[w] + width - 1) // width
+    turns = turns_of(rule.count[w], width)
     for turn in range(turns):
         give_units(row, w, turn * width, width, size, rule, p)
         for step in range(size):
@@ -510,12 +517,8 @@ def space_functions(width: int, dof: int) -> SimpleNamespace:
             eliminate(row, 3 * size, p)
             for a in range(size):
                 i = p.pressing[row, a]
-                f = p.force[row, i]
-                normal = wp.max(f[0] + p.right[row, 3 * a], 0.0)
-                f1 = f[1] + p.right[row, 3 * a + 1]
-                f2 = f[2] + p.right[row, 3 * a + 2]
-                keep = wp.min(1.0, mu * normal / wp.max(wp.sqrt(f1 * f1 + f2 * f2), 1.0e-12))
-                change_force(row, i, turns, wp.vec3(normal, f1 * keep, f2 * keep), p)
+                f = p.force[row, i] + wp.vec3(p.right[row, 3 * a], p.right[row, 3 * a + 1], p.right[row, 3 * a + 2])
+                change_force(row, i, turns, within_cone(f[0], f[1], f[2], mu), p)
 
     @wp.func(inline=True)
     def solve_contacts(row: int, count: int, turns: int, mu: float, rule: ContactRule, p: Space, h: float) -> int:

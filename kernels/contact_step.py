@@ -25,6 +25,7 @@ from .contact_space import (
     respond,
     set_out_contacts,
     space_functions,
+    turns_of,
 )
 from .observe import locate_joints
 from .real import SOURCE
@@ -70,7 +71,7 @@ def contact_step_kernel(width: int, dof: int) -> Any:
     def solve_world(w: int, row: int, a: Arm, y: ArmState, k: ArmWork, rule: ContactRule, p: Space, h: float):
         """Solve the arm and all contacts of a world, until the set of joints at their torque limit stands."""
         count = rule.count[w]
-        turns = (3 * count + W - 1) // W
+        turns = turns_of(count, W)
         changed = int(1)
         for _attempt in range(TRIES):
             if changed == 1:
