@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 import warp as wp
 
 from ..kernels.effects_inverse import effect_efforts_kernel
@@ -174,7 +175,7 @@ class EquationError(Rollout):
         integers: list[Any] = [
             wp.array(v, dtype=int, device=dev) for v in (list(place.values()), watched, trajectory, self._samples)
         ]
-        self.substeps, self.channels, self._select = 1, len(watched), list(range(len(watched)))
+        self.substeps, self.channels = 1, len(watched)
         self._acceleration, self._effort = m.field("Vec"), m.field("Vec")
         self._output: LaneArray = m.field("Real", places=longest * self.channels)
         before = [m.kernel, sim.state.kernel, sim.load.kernel, self._acceleration.kernel, *integers]
@@ -182,6 +183,9 @@ class EquationError(Rollout):
         kernel = inverse_kernels(m.width, m.precision).replay
         replay = sim._launcher.prepare(kernel, before, [self._effort.kernel, self._output.kernel])
         self._replay = replay if not self.plant.acting.names else self._with_effects(replay, integers, before[-1])
+
+    def _watched(self, out: torch.Tensor) -> torch.Tensor:
+        return out
 
     def _with_effects(self, replay: Callable[[], None], integers: list[Any], motion: wp.array) -> Callable[[], None]:
         """Return a replay that takes off what the laws at joints give; refuse effects of any other kind."""

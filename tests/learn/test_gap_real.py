@@ -9,7 +9,7 @@ from bough.learn.case import load_case
 from bough.learn.gap.diagnose import Diagnoser
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.threads import one_thread
-from learn.test_mechanism import write_dfki
+from oracles.double_pendulum import write_dfki
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 

@@ -21,8 +21,8 @@ from bough.learn.plant import values_of
 from bough.learn.rollout import Recording, Rollout
 from bough.sim.errors import InputError
 from oracles.arm_case import TRUE, arm_meta, arm_xml, simulate, write_arm
+from oracles.double_pendulum import DFKI, write_dfki
 
-DFKI = Path(__file__).resolve().parents[3] / "shared" / "data" / "dfki_double_pendulum"
 PERIOD = 34  # samples of a period of 15 Hz at 500 Hz, which recordings lose at either end
 EVERY = ["damping", "stiffness", "armature", "preload", "mass", "com", "inertia", "length"]
 
@@ -326,32 +326,6 @@ def test_replayed_arm_is_mujoco_s(tmp_path):
 
 
 # ---- a real arm -----------------------------------------------------------------------------------------------------
-
-DFKI_ARM = """<mujoco model="double_pendulum"><compiler angle="radian"/>
-<default><joint axis="0 -1 0" damping="0.001" armature="0.00226332"/></default><worldbody>
-<body name="upper"><joint name="shoulder"/>
-  <inertial pos="0 0 -0.2" mass="0.52346" diaginertia="0.0109486 0.0109486 0.0001"/>
-  <body name="lower" pos="0 0 -0.2"><joint name="elbow"/>
-    <inertial pos="0 0 -0.25569" mass="0.62557" diaginertia="0.00997254 0.00997254 0.0001"/>
-</body></body></worldbody></mujoco>"""
-
-
-def write_dfki(folder: Path, unknown: list[str]) -> Path:
-    """Write the case of the real double pendulum, its mechanism from the published model on the data's page.
-
-    Inertias about the joints less m r^2 (page: 0.031887 and 0.050870 kg m^2; r 0.2 and 0.25569 m); armature of rotors
-    behind gears, 6.287e-5 kg m^2 x 6^2.
-    """
-    folder.mkdir()
-    (folder / "arm.xml").write_text(DFKI_ARM)
-    (folder / "run.csv").write_text((DFKI / "dfki_double_pendulum_sysid.csv").read_text())
-    meta = arm_meta(["run.csv"], unknown) | {"resample_hz": 500.0}
-    for k, item in enumerate(meta["input"]):
-        item["column"] = f"torque{k + 1}_measured_Nm"
-    for k, item in enumerate(meta["outputs"]):
-        item["column"] = f"angle{k + 1}_rad"
-    (folder / "meta.yaml").write_text(yaml.safe_dump(meta))
-    return folder
 
 
 @pytest.mark.skipif(not DFKI.is_dir(), reason="measured data folder shared/data is not there")
