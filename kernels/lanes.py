@@ -187,6 +187,16 @@ def _scan(width: int) -> str:
     return steps + f"wp::vec_t<{width},float> o; __builtin_memcpy(&o,&r,sizeof(V)); return o;"
 
 
+def _fold(width: int, better: str) -> str:
+    """C++ of the one lane that is ``better`` than all others: halves folded onto each other."""
+    steps, half = "V r=a_;", width // 2
+    while half:
+        order = ",".join(str((i + half) % width) for i in range(width))
+        steps += f"{{V q=__builtin_shufflevector(r,r,{order}); r=r{better}q?r:q;}}"
+        half //= 2
+    return steps + "return r[0];"
+
+
 _INT = "typedef int I __attribute__((ext_vector_type({width}))); I b; __builtin_memcpy(&b,&a,sizeof(V));"
 
 for _W in (8, 16):
@@ -220,10 +230,10 @@ for _W in (8, 16):
     @wp.func_native(_native(_W, "", "a", f"float s=a_[0]; for(int i=1;i<{_W};++i) s+=a_[i]; return s;"))
     def _total(a: V) -> float: ...
 
-    @wp.func_native(_native(_W, "", "a", "return __builtin_reduce_min(a_);"))
+    @wp.func_native(_native(_W, "", "a", _fold(_W, "<")))
     def _least(a: V) -> float: ...
 
-    @wp.func_native(_native(_W, "", "a", "return __builtin_reduce_max(a_);"))
+    @wp.func_native(_native(_W, "", "a", _fold(_W, ">")))
     def _greatest(a: V) -> float: ...
 
     @wp.func_native(_native(_W, "a_>b_?a_:b_", "ab"))

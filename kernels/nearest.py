@@ -6,8 +6,8 @@ chunks never exceeds the d2 of a pair of their points: chunks are left out witho
 
 - Occlusion (thesis eq. 5.6): of the k closest pairs of two clouds, the share closer than d_th, which is
   min(k, number of pairs closer than d_th) / k.
-- Safety margin (thesis eq. 5.7): whether the mean distance of the 5 closest pairs is below d_sm. If the fifth distance
-  is 5 d_sm or more the mean is not below, so farther pairs need no look.
+- Safety margin (thesis eq. 5.7): whether the mean distance of the 5 closest pairs is below d_sm. It is not where no
+  distance is, or where the fifth is 5 d_sm or more, so farther pairs need no look.
 """
 
 from functools import cache
@@ -15,14 +15,14 @@ from typing import Any
 
 import warp as wp
 
-from .lanes import below, lane_sum, max_, min_
+from .lanes import below, lane_sum, least, max_, min_, running_sum
 from .point_cloud import BRANCHES, ROBOT, TARGET, cloud_types
-from .real import SOURCE, add, any_neg, fma, lane, lane_neg, mul, real, sub
+from .real import SOURCE, add, any_neg, fma, lane, lane_neg, mul, real, sub, where_neg
 
 __all__ = ["Few", "finish_kernel", "margin_kernel", "nearest_kernel", "occlusion_kernel"]
 
-#: Puts a bound just above the squared distance it was taken from, which is then found again.
-NO_NEARER = wp.constant(1.000001)
+#: Greater than the number of any lane.
+NOBODY = wp.constant(99.0)
 #: Squared distances, ascending.
 Few = wp.types.vector(5, wp.float32)
 
@@ -141,34 +141,54 @@ def keep_chunk(w: int, b: int, other: int, x: float, y: float, z: float, best: F
     return out
 
 
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+    __builtin_prefetch(&wp::index(a, w, k, m, p));
+#endif
+""")
+def fetch_ahead(a: wp.array4d(dtype=wp.float32), w: int, k: int, m: int, p: int):
+    """Ask a CPU for memory that is read soon."""
+
+
 @wp.func
 def closest_points(w: int, b: int, place: wp.vec3, limit: float, t: int, team: int, lanes: int, c: Any):
     """Squared distances below ``limit`` of the points of cloud b closest to a place, of every ``team``-th chunk from t.
 
-    Many lanes first find the least of each lane: the fifth of those is of a point, so the fifth of all is no farther,
-    and a second look inserts the few points that are as near.
+    Every lane keeps its five least, ascending, with no branch; then the least of all lanes' least is taken five times.
+    Meanwhile a CPU asks for the next world's cloud: waiting for its first lines would take as long as all the rest.
     """
     x = real(place[0], c.point[w, b, 0, 0])
     y = real(place[1], x)
     z = real(place[2], x)
-    best = Few(limit)
-    bound = limit
-    if lanes > 5:
-        least = real(limit, x)
-        for j in range(t, c.point.shape[3], team):
-            least = min_(least, squared(c.point[w, b, 0, j] - x, c.point[w, b, 1, j] - y, c.point[w, b, 2, j] - z))
-        for i in range(lanes):
-            best = keep_least(best, lane(least, i))
-        bound = best[4] * NO_NEARER
-        best = Few(limit)
+    a0 = real(limit, x)
+    a1 = a0
+    a2 = a0
+    a3 = a0
+    a4 = a0
+    after = wp.min(w + 1, c.flat.shape[0] - 1)
     for j in range(t, c.point.shape[3], team):
-        d2 = squared(c.point[w, b, 0, j] - x, c.point[w, b, 1, j] - y, c.point[w, b, 2, j] - z)
-        if any_neg(d2 - bound):
-            for i in range(lanes):
-                if lane(d2, i) < best[4]:
-                    best = keep_least(best, lane(d2, i))
-            if lanes <= 5:
-                bound = best[4]
+        for m in range(3):
+            fetch_ahead(c.flat, after, b, m, lanes * j)
+        d = squared(c.point[w, b, 0, j] - x, c.point[w, b, 1, j] - y, c.point[w, b, 2, j] - z)
+        past0 = max_(a0, d)
+        a0 = min_(a0, d)
+        past1 = max_(a1, past0)
+        a1 = min_(a1, past0)
+        past2 = max_(a2, past1)
+        a2 = min_(a2, past1)
+        a4 = min_(a4, max_(a3, past2))
+        a3 = min_(a3, past2)
+    best = Few()
+    number = running_sum(real(1.0, x))
+    for i in range(5):
+        best[i] = least(a0)
+        # of the lanes that hold it the first one moves up
+        holder = where_neg(best[i] - a0, real(NOBODY, x), number)
+        others = holder - (least(holder) + 0.5)
+        a0 = where_neg(others, a1, a0)
+        a1 = where_neg(others, a2, a1)
+        a2 = where_neg(others, a3, a2)
+        a3 = where_neg(others, a4, a3)
     return best
 
 
@@ -240,20 +260,22 @@ def nearest_kernel(width: int = 1) -> Any:
 def margin_kernel(width: int = 1) -> Any:
     """Return the kernel that finds the five least squared distances [m^2] of robot-target pairs, those below ``limit``.
 
-    Threads as in `occlusion_kernel`. ``pair_out`` [worlds, T] is ascending; what is not below ``limit`` holds that.
+    Threads as in `occlusion_kernel`. ``pair_out`` [worlds, T] is ascending; what is not below ``limit`` holds that. So
+    do all five on a CPU where no pair is below ``near``.
     """
     t = cloud_types(width)
     Clouds, W = t.Clouds, width
 
     @wp.kernel(enable_backward=False, module="unique")
-    def margin(c_in: Clouds, limit: float, first: int, pair_out: wp.array2d(dtype=Few)):
+    def margin(c_in: Clouds, near: float, limit: float, first: int, pair_out: wp.array2d(dtype=Few)):
         tag = SOURCE  # noqa: F841
         t, i = wp.tid()
         w = first + i
         pair = Few(limit)
         if c_in.present[w, ROBOT] * c_in.present[w, TARGET] > 0:
             if wp.static(W > 1):
-                pair = closest_pairs_lanes(w, ROBOT, TARGET, limit, W, c_in)
+                if count_lanes(w, ROBOT, TARGET, near, 1, W, c_in) > 0:
+                    pair = closest_pairs_lanes(w, ROBOT, TARGET, limit, W, c_in)
             else:
                 pair = closest_pairs(w, ROBOT, TARGET, limit, t, pair_out.shape[1], c_in)
         pair_out[w, t] = pair

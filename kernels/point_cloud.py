@@ -42,7 +42,7 @@ TARGET = wp.constant(1)
 BRANCHES = wp.constant(2)
 NUM_CLOUDS = 3
 
-#: Numbers that a point of a cloud draws: level, angle and two pairs for the noise. The spare counts for level N.
+#: Hashes that a point of a cloud takes: level, angle and two pairs of normal numbers. The spare counts for level N.
 STREAMS = wp.constant(5)
 LEVEL = wp.constant(0)
 ANGLE = wp.constant(1)
@@ -121,11 +121,10 @@ def frame_of(axis: wp.vec3):
 
 
 @wp.func
-def put_points(
-    w: int, k: int, j: int, start: wp.vec3, frame: wp.mat33, length: float, r: float, cap: float, ahead: Any,
-    cosine: Any, sine: Any, c: Any,
-):  # fmt: skip
-    """Put the points of chunk j whose level is ``ahead`` >= 0 of a capsule's first on its surface:
+def on_capsule(
+    ahead: Any, cosine: Any, sine: Any, start: wp.vec3, frame: wp.mat33, length: float, r: float, cap: float
+):
+    """Points of a capsule's surface whose levels are ``ahead`` of the capsule's first:
 
     a = ahead / (2 pi r) - r cap,  p = start + a d + rho (cos phi n1 + sin phi n2),
     rho^2 = r^2 - (how far a lies beyond the axis)^2
@@ -136,9 +135,10 @@ def put_points(
     rho = sqrt_(max_(fnma(over, over, real(r * r, ahead)), zero))
     u = rho * cosine
     v = rho * sine
-    for m in range(3):
-        p = fma(a, real(frame[m, 0], a), fma(u, real(frame[m, 1], a), fma(v, real(frame[m, 2], a), real(start[m], a))))
-        c.point[w, k, m, j] = where_neg(ahead, c.point[w, k, m, j], p)
+    x = fma(a, real(frame[0, 0], a), fma(u, real(frame[0, 1], a), fma(v, real(frame[0, 2], a), real(start[0], a))))
+    y = fma(a, real(frame[1, 0], a), fma(u, real(frame[1, 1], a), fma(v, real(frame[1, 2], a), real(start[1], a))))
+    z = fma(a, real(frame[2, 0], a), fma(u, real(frame[2, 1], a), fma(v, real(frame[2, 2], a), real(start[2], a))))
+    return x, y, z
 
 
 @wp.func
@@ -155,10 +155,24 @@ def draw_levels(w: int, k: int, key: wp.uint32, draw: int, lanes: int, c: Any):
 
 
 @wp.func
+def turn(h: Any):
+    """cos 2 h and sin 2 h, |h| <= pi/2."""
+    s = short_sine(h)
+    return fnma(s, s + s, real(1.0, h)), (s + s) * short_cosine(h)
+
+
+@wp.func
+def draw_angle(key: wp.uint32, n: int, like: Any):
+    """cos and sin of a random angle."""
+    return turn((uniform(key, n, like) - 0.5) * wp.static(0.5 * 6.283185307179586))
+
+
+@wp.func
 def spread_points(w: int, k: int, s: Shapes, first: int, last: int, cap: float, key: wp.uint32, lanes: int, c: Any):
     """Draw points on shapes first ... last - 1 of world w into cloud k.
 
-    Shapes come in their order, and so do levels: a chunk is finished by the shape that its last point is on.
+    Shapes come in their order, and so do levels: a chunk is finished by the shape that its last point is on, and stored
+    then (a store of some lanes is slow on a CPU).
     """
     total = wp.float32(0.0)
     final = wp.int32(-1)
@@ -171,12 +185,13 @@ def spread_points(w: int, k: int, s: Shapes, first: int, last: int, cap: float, 
     chunks = c.point.shape[3]
     draw = k * STREAMS * chunks * lanes
     scale = total / draw_levels(w, k, key, draw, lanes, c)
+    angle = draw + ANGLE * chunks * lanes
     j = wp.int32(0)
     level = c.point[w, k, 0, 0] * scale
-    h = half_angle(key, draw + ANGLE * chunks * lanes, level)
-    sine = short_sine(h)
-    cosine = fnma(sine, sine + sine, real(1.0, level))
-    sine = (sine + sine) * short_cosine(h)
+    cosine, sine = draw_angle(key, angle, level)
+    x = level
+    y = level
+    z = level
     edge = wp.float32(0.0)
     for i in range(first, final + 1):
         area = shape_area(s, w, i, cap)
@@ -189,47 +204,43 @@ def spread_points(w: int, k: int, s: Shapes, first: int, last: int, cap: float, 
             length = wp.length(axis)
             r = s.radius[w, i]
             while j < chunks:
-                put_points(w, k, j, start, frame, length, r, cap, level - start_level, cosine, sine, c)
+                ahead = level - start_level
+                px, py, pz = on_capsule(ahead, cosine, sine, start, frame, length, r, cap)
+                x = where_neg(ahead, x, px)
+                y = where_neg(ahead, y, py)
+                z = where_neg(ahead, z, pz)
                 if lane(level, lanes - 1) >= edge:
                     break
+                c.point[w, k, 0, j] = x
+                c.point[w, k, 1, j] = y
+                c.point[w, k, 2, j] = z
                 j = j + 1
                 if j < chunks:
                     level = c.point[w, k, 0, j] * scale
-                    h = half_angle(key, draw + (ANGLE * chunks + j) * lanes, level)
-                    sine = short_sine(h)
-                    cosine = fnma(sine, sine + sine, real(1.0, level))
-                    sine = (sine + sine) * short_cosine(h)
+                    cosine, sine = draw_angle(key, angle + j * lanes, level)
 
 
 @wp.func
-def half_angle(key: wp.uint32, n: int, like: Any):
-    """Half of a random angle, in (-pi/2, pi/2)."""
-    return (uniform(key, n, like) - 0.5) * wp.static(0.5 * 6.283185307179586)
-
-
-@wp.func
-def normal_pair(key: wp.uint32, n: int, sigma: float, like: Any, sine: int):
-    """sigma sqrt(-2 log u1) times cos or sin of 2 pi u2 (Box and Muller), of 16 bits: within 4.9 sigma."""
+def normal_pair(key: wp.uint32, n: int, sigma: float, like: Any):
+    """sigma sqrt(-2 log u1) times cos and sin of 2 pi u2 (Box and Muller), of 16 bits: within 4.9 sigma."""
     size = sqrt_(log_(uniform_high(key, n, like)) * -2.0) * sigma
-    h = (uniform_low(key, n, like) - 0.5) * wp.static(0.5 * 6.283185307179586)
-    s = short_sine(h)
-    if sine == 1:
-        return size * (s + s) * short_cosine(h)
-    return size * fnma(s, s + s, real(1.0, like))
+    cosine, sine = turn((uniform_low(key, n, like) - 0.5) * wp.static(0.5 * 6.283185307179586))
+    return size * cosine, size * sine
 
 
 @wp.func
 def add_noise(w: int, k: int, sigma: float, key: wp.uint32, lanes: int, c: Any):
     """Move every coordinate of every point by Gaussian noise of deviation sigma [m]."""
     chunks = c.point.shape[3]
-    draw = k * STREAMS * chunks * lanes
+    xy = (k * STREAMS + NOISE_XY) * chunks * lanes
+    z = (k * STREAMS + NOISE_Z) * chunks * lanes
     for j in range(chunks):
-        xy = draw + NOISE_XY * chunks * lanes + j * lanes
-        z = draw + NOISE_Z * chunks * lanes + j * lanes
         x = c.point[w, k, 0, j]
-        c.point[w, k, 0, j] = x + normal_pair(key, xy, sigma, x, 0)
-        c.point[w, k, 1, j] = c.point[w, k, 1, j] + normal_pair(key, xy, sigma, x, 1)
-        c.point[w, k, 2, j] = c.point[w, k, 2, j] + normal_pair(key, z, sigma, x, 0)
+        east, north = normal_pair(key, xy + j * lanes, sigma, x)
+        up, _ = normal_pair(key, z + j * lanes, sigma, x)
+        c.point[w, k, 0, j] = x + east
+        c.point[w, k, 1, j] = c.point[w, k, 1, j] + north
+        c.point[w, k, 2, j] = c.point[w, k, 2, j] + up
 
 
 @wp.func

@@ -225,12 +225,15 @@ def deliver(
     observation_out: wp.array2d(dtype=wp.float32),
 ):
     """Observation <- what was sensed as many steps ago as the world's latency says; a new episode knows its start."""
-    world, k = wp.tid()
+    world = wp.tid()
     slots = kept_out.shape[0]
     clock = counters_in.clock[world]
-    kept_out[clock % slots, world, k] = now_in[world, k]
+    late = (clock + slots - counters_in.observation_delay[world]) % slots
+    for k in range(now_in.shape[1]):
+        kept_out[clock % slots, world, k] = now_in[world, k]
     if counters_in.age[world] == 0:
         for slot in range(slots):
-            kept_out[slot, world, k] = now_in[world, k]
-    late = (clock + slots - counters_in.observation_delay[world]) % slots
-    observation_out[world, k] = kept_out[late, world, k]
+            for k in range(now_in.shape[1]):
+                kept_out[slot, world, k] = now_in[world, k]
+    for k in range(now_in.shape[1]):
+        observation_out[world, k] = kept_out[late, world, k]

@@ -276,7 +276,7 @@ class Sensor:
         embedded, local = self._columns
         by_cloud = (count, NUM_CLOUDS) if w > 1 else (NUM_CLOUDS, count)
         by_wave = (*by_cloud, s.features) if w > 1 else (s.features, *by_cloud)
-        cap, limit = float(s.rounded), (5 * s.margin) ** 2 * _BEYOND
+        cap, near, limit = float(s.rounded), s.margin**2 * _BEYOND, (5 * s.margin) ** 2 * _BEYOND
         plan: list[tuple[Any, tuple[int, ...], list[Any]]] = [
             (sample_kernel(w), by_cloud, [self._capsules, self._num_arm, self._target, cap, s.zoom, self._seed,
                                           self._tick, self._max_noise, first, self._clouds]),
@@ -284,7 +284,7 @@ class Sensor:
             (occlusion_kernel(w), (team, count),
              [self._clouds, _squared(s.threshold), s.pairs, first, self._count]),
             (nearest_kernel(w), (team, count), [self._clouds, self._ee, s.farthest**2, first, self._point]),
-            (margin_kernel(w), (team, count), [self._clouds, limit, first, self._pair]),
+            (margin_kernel(w), (team, count), [self._clouds, near, limit, first, self._pair]),
             (finish_kernel, (count,), [self._count, self._point, self._pair, s.pairs, s.margin, local, first,
                                        self._tick, self._occlusion, self._distances, self._breach, self._observation]),
         ]  # fmt: skip

@@ -260,7 +260,10 @@ class ArmSimulator(Simulator):
         chosen: Any = wp.from_torch(mask.contiguous(), dtype=wp.bool)
         if self.rupture is not None:
             self.rupture.heal(chosen)
-        kernel = reset_arm_kernel(self.arm.num_dofs)
-        inputs = [chosen, self._start_q, *self._arm.kernel[1:], self._touch.kernel[0]]
-        wp.launch(kernel, dim=self.model.num_worlds, inputs=inputs, device=self.model.device)
         self.look()
+
+    def _record_resets(self, chosen: wp.array) -> list[Any]:
+        kernel, m = reset_arm_kernel(self.arm.num_dofs), self.model
+        inputs = [chosen, self._start_q, *self._arm.kernel[1:], self._touch.kernel[0]]
+        own = wp.launch(kernel, dim=m.num_worlds, inputs=inputs, device=m.device, record_cmd=True)
+        return [*super()._record_resets(chosen), own]

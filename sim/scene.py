@@ -24,6 +24,7 @@ from .arm_simulator import ArmSimulator
 from .cull import keep_links
 from .errors import InputError
 from .export_mesh import shape_ends
+from .launcher import Recorded
 from .pose import rest_pose
 from .posterior_stiffness import SpringPosterior, Wood
 from .rotation import quat_rotate
@@ -323,6 +324,7 @@ class Scene:
         self._fields["damping in effect"] = sim._damping.entries()
         self._nominal = {name: wp.clone(field) for name, field in self._fields.items()}
         runs = min(_RUNS, self.settings.attempts) if self.device.is_cuda else 1
+        self._place = Recorded(self._record)
         self._tried = (
             wp.zeros((worlds, runs), dtype=wp.int32, device=self.device),
             wp.zeros((worlds, runs), dtype=wp.float32, device=self.device),
@@ -343,29 +345,37 @@ class Scene:
         Writes the trees' roots, the target's axis, springs, dampers and friction; call the simulator's ``reset`` with
         the same mask afterwards.
         """
+        self._place(mask, episode)
+
+    def _record(self, mask: wp.array, episode: wp.array) -> list[Any]:
         sim, d = self._simulator, self._drawn
         outputs = [
             d["root"], d["turn"], sim.line.start, sim.line.end, self.target.start, self.target.end,
             d["stiffness"], d["damping"], wp.from_torch(sim.friction), d["breach"],
         ]  # fmt: skip
         inputs = [mask, episode, self._arrays, self._rules, self._key, *self._tried]
-        wp.launch(kernels.try_places, dim=self._tried[0].shape, inputs=inputs, device=self.device)
-        wp.launch(kernels.place_scene, dim=len(self.breach), inputs=inputs, outputs=outputs, device=self.device)
-        self._plant(mask)
-        self._scale("stiffness", mask, self._same)
-        self._scale("damping", mask, d["damping"])
-        self._scale("damping in effect", mask, d["damping"])
+        return [
+            self._launch(kernels.try_places, self._tried[0].shape, inputs),
+            self._launch(kernels.place_scene, len(self.breach), [*inputs, *outputs]),
+            self._plant(mask),
+            self._scale("stiffness", mask, self._same),
+            self._scale("damping", mask, d["damping"]),
+            self._scale("damping in effect", mask, d["damping"]),
+        ]
 
-    def _plant(self, mask: wp.array) -> None:
+    def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> Any:
+        return wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, record_cmd=True)
+
+    def _plant(self, mask: wp.array) -> Any:
         sim, f, n = self._simulator, self._fields, self._nominal
         inputs = [mask, sim._slot_world, sim.model.kernel.parent, self._drawn["root"], self._drawn["turn"]]
         inputs += [n["offset"], n["turn"], f["offset"], f["turn"]]
-        wp.launch(kernels.plant_roots, dim=f["turn"].shape[:2], inputs=inputs, device=self.device)
+        return self._launch(kernels.plant_roots, f["turn"].shape[:2], inputs)
 
-    def _scale(self, name: str, mask: wp.array, second: wp.array) -> None:
+    def _scale(self, name: str, mask: wp.array, second: wp.array) -> Any:
         field = self._fields[name]
         inputs = [mask, self._simulator._slot_world, self._drawn["stiffness"], second, self._nominal[name], field]
-        wp.launch(kernels.scale_joints, dim=field.shape[:2], inputs=inputs, device=self.device)
+        return self._launch(kernels.scale_joints, field.shape[:2], inputs)
 
 
 def _scene_arrays(distinct: list[Tree], index: IntArray, arm: Arm, shoulder: Array, firm: float, device: Any) -> Any:

@@ -19,7 +19,7 @@ from . import rotation
 from .arrays import integer_array
 from .errors import InputError
 from .forest_effects import ForestEffects
-from .launcher import Launcher
+from .launcher import Launcher, Recorded
 from .load import Load
 from .model import Model
 from .state import State
@@ -83,6 +83,7 @@ class Simulator:
         self._index_slots()
         self._allocate_outputs()
         self._start = {name: model.field(kind) for name, kind in (("coordinate", "Quat"), ("velocity", "Vec"))}
+        self._resets = Recorded(self._record_resets)
         self._everyone = torch.ones(model.num_worlds, dtype=torch.bool, device=self.state.fault_link.device)
         self._dynamics = self._dynamic_model()
         self._judges = self._prepare_judges()
@@ -217,15 +218,21 @@ class Simulator:
         `mark_start` was called in between. Their parameters stay.
         """
         mask = self._everyone if mask is None else mask.to(self._everyone.device)
-        chosen = wp.from_torch(mask.contiguous(), dtype=wp.bool)
+        chosen: Any = wp.from_torch(mask.contiguous(), dtype=wp.bool)
+        self._resets(chosen)
+        self.effects.reset(chosen, self._slot_world)
+
+    def _record_resets(self, chosen: wp.array) -> list[Any]:
+        """Return the launches that put the chosen worlds back."""
         kernels, m = reset_kernels(self.model.precision), self.model
+        plan: list[tuple[Any, Any, list[Any]]] = []
         for name, stored in self._start.items():
             field = getattr(self.state, name).entries()
-            inputs = [chosen, self._slot_world, stored.entries(), field]
-            wp.launch(kernels.restore, dim=(m.groups, m.places + 1), inputs=inputs, device=m.device)
-        inputs = [chosen, self._slot_world, self.state.alive.entries(), self.state._fault_link, self.state._fault_tick]
-        wp.launch(kernels.revive, dim=m.groups * m.width, inputs=inputs, device=m.device)
-        self.effects.reset(chosen, self._slot_world)
+            plan.append((kernels.restore, (m.groups, m.places + 1), [stored.entries(), field]))
+        faults = [self.state.alive.entries(), self.state._fault_link, self.state._fault_tick]
+        plan.append((kernels.revive, m.groups * m.width, faults))
+        given = [chosen, self._slot_world]
+        return [wp.launch(k, dim=d, inputs=[*given, *i], device=m.device, record_cmd=True) for k, d, i in plan]
 
     # ---- looking -------------------------------------------------------------------------------------------------
 

@@ -85,6 +85,7 @@ class Powerline(VecEnv):
         self._allocate()
         self.simulator.line_mask.fill_(int(test))
         self._graph: Callable[[], None] | None = None
+        self._recorded: dict[Any, Any] = {}
         self._begin()
 
     # ---- memory --------------------------------------------------------------------------------------------------
@@ -169,8 +170,13 @@ class Powerline(VecEnv):
 
     # ---- stepping ------------------------------------------------------------------------------------------------
 
-    def _launch(self, kernel: Any, *inputs: Any, dim: Any = None) -> None:
-        wp.launch(kernel, dim=self.num_envs if dim is None else dim, inputs=list(inputs), device=self._device)
+    def _launch(self, kernel: Any, *inputs: Any) -> None:
+        """Launch a kernel, one thread a world; what it is given never changes, so the launch is recorded once."""
+        if kernel not in self._recorded:
+            self._recorded[kernel] = wp.launch(
+                kernel, dim=self.num_envs, inputs=list(inputs), device=self._device, record_cmd=True
+            )
+        self._recorded[kernel].launch()
 
     def _begin(self) -> None:
         """Start the first episode of every world.
@@ -199,8 +205,7 @@ class Powerline(VecEnv):
         self._launch(kernels.feel, y.q, y.qd, y.end_rotation, y.force, self._rules, self._counters, self._first,
                      self._seen)  # fmt: skip
         if "kept" in self._warp:
-            self._launch(kernels.deliver, self._seen, self._counters, self._warp["kept"], self._warp["observation"],
-                         dim=self._seen.shape)  # fmt: skip
+            self._launch(kernels.deliver, self._seen, self._counters, self._warp["kept"], self._warp["observation"])
 
     def _advance(self) -> None:
         """Launch one policy step; nothing is allocated, copied to the host or waited for."""
