@@ -34,12 +34,12 @@ demo: $(VENV)/installed-test  ## grow a forest, simulate it, learn a branch's sp
 		--out $(DEMO)/motion
 	$(BIN)/bough hide --seed 1 --segments 3 --noise 0.03 --out $(DEMO)/case
 	$(BIN)/bough identify $(DEMO)/case --out $(DEMO)/identified
-	$(BIN)/bough hide --effects dry_friction --seed 7 --out $(DEMO)/hidden
+	$(BIN)/bough hide --effects quadratic_drag --seed 7 --out $(DEMO)/hidden
 	$(BIN)/bough diagnose $(DEMO)/hidden --out $(DEMO)/diagnosis
 	@echo
 	@echo "Look at $(DEMO)/forest/forest.png (the forest), open $(DEMO)/identified/report.html (what was learnt)" \
-		"and $(DEMO)/diagnosis/report.html (what was missing; the answer, with the names" \
-		"that no push of this kind can tell apart, is $(DEMO)/hidden_answer.json)."
+		"and $(DEMO)/diagnosis/report.html (what was missing; the answer is" \
+		"$(DEMO)/hidden_answer.json)."
 
 test: $(VENV)/installed-test  ## run all tests (minutes)
 	$(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder

@@ -309,13 +309,16 @@ def _rms(contest: Contest, output: torch.Tensor, test: Sequence[int], main: list
 def ranking(field: Field, model: Model, deep: bool) -> tuple[Rival, ...]:
     """Return base and rivals, best first; the last rivals with their misfit in profiles they were not fitted to."""
     best = field.criterion(model)
-    ordered = sorted([field.base, *field.models], key=field.criterion)[:12]
+    every = sorted([field.base, *field.models], key=field.criterion)
+    ahead = {m.members: m for m in reversed(every)}  # the same effects may have been fitted from two sides
+    ordered = [m for m in every if ahead[m.members] is m][:12]
     if field.base not in ordered:
         ordered.append(field.base)
     groups = profiles(field.contest)
     scores: dict[int, float] = {}
     if deep and len(groups) > 1:
-        last = [model, *[m for m in field.of_size(len(model.members)) if m is not model][:1], field.base]
+        rivals = [m for m in field.of_size(len(model.members)) if m.members != model.members]
+        last = [model, *rivals[:1], field.base]
         squares = left_out(field.contest, [m.fit for m in last], groups).sum(1) / field.contest.num_samples
         scores = {id(m): float(x) for m, x in zip(last, squares, strict=True)}
     return tuple(

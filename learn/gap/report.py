@@ -58,7 +58,7 @@ def content(diagnosis: Diagnosis) -> ReportContent:
         details=_details(diagnosis),
         further=[
             (VERDICT, "the verdict for programs"),
-            *([("model.yaml", "what bough simulate, identify and forest take as --model")] if with_model else []),
+            *([("model.yaml", "what simulate, identify, forest and train take as --model")] if with_model else []),
             ("docs/diagnose.md", "how to read this page, and how it is computed"),
             ("docs/effects.md", "the law behind every name"),
         ],
