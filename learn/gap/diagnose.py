@@ -307,11 +307,16 @@ def _rms(contest: Contest, output: torch.Tensor, test: Sequence[int], main: list
 
 
 def ranking(field: Field, model: Model, deep: bool) -> tuple[Rival, ...]:
-    """Return base and rivals, best first; the last rivals with their misfit in profiles they were not fitted to."""
+    """Return base and rivals, best first; the last rivals with their misfit in profiles they were not fitted to.
+
+    Of models with more effects than the preferred one the best is shown: what one more would be good for.
+    """
     best = field.criterion(model)
     every = sorted([field.base, *field.models], key=field.criterion)
     ahead = {m.members: m for m in reversed(every)}  # the same effects may have been fitted from two sides
-    ordered = [m for m in every if ahead[m.members] is m][:12]
+    each = [m for m in every if ahead[m.members] is m]
+    larger = [m.members for m in each if len(m.members) > len(model.members)][1:]
+    ordered = [m for m in each if m.members not in larger][:12]
     if field.base not in ordered:
         ordered.append(field.base)
     groups = profiles(field.contest)
