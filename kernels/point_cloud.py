@@ -44,7 +44,6 @@ NUM_CLOUDS = 3
 
 #: Hashes that a point of a cloud takes: level, angle and two pairs of normal numbers. The spare counts for level N.
 STREAMS = wp.constant(5)
-LEVEL = wp.constant(0)
 ANGLE = wp.constant(1)
 NOISE_XY = wp.constant(2)
 NOISE_Z = wp.constant(3)
@@ -155,16 +154,11 @@ def draw_levels(w: int, k: int, key: wp.uint32, draw: int, lanes: int, c: Any):
 
 
 @wp.func
-def turn(h: Any):
-    """cos 2 h and sin 2 h, |h| <= pi/2."""
+def direction(u: Any):
+    """cos and sin of the angle 2 h, h = (u - 1/2) pi, for u in (0, 1)."""
+    h = (u - 0.5) * wp.static(0.5 * 6.283185307179586)
     s = short_sine(h)
     return fnma(s, s + s, real(1.0, h)), (s + s) * short_cosine(h)
-
-
-@wp.func
-def draw_angle(key: wp.uint32, n: int, like: Any):
-    """cos and sin of a random angle."""
-    return turn((uniform(key, n, like) - 0.5) * wp.static(0.5 * 6.283185307179586))
 
 
 @wp.func
@@ -188,7 +182,7 @@ def spread_points(w: int, k: int, s: Shapes, first: int, last: int, cap: float, 
     angle = draw + ANGLE * chunks * lanes
     j = wp.int32(0)
     level = c.point[w, k, 0, 0] * scale
-    cosine, sine = draw_angle(key, angle, level)
+    cosine, sine = direction(uniform(key, angle, level))
     x = level
     y = level
     z = level
@@ -217,14 +211,14 @@ def spread_points(w: int, k: int, s: Shapes, first: int, last: int, cap: float, 
                 j = j + 1
                 if j < chunks:
                     level = c.point[w, k, 0, j] * scale
-                    cosine, sine = draw_angle(key, angle + j * lanes, level)
+                    cosine, sine = direction(uniform(key, angle + j * lanes, level))
 
 
 @wp.func
 def normal_pair(key: wp.uint32, n: int, sigma: float, like: Any):
     """sigma sqrt(-2 log u1) times cos and sin of 2 pi u2 (Box and Muller), of 16 bits: within 4.9 sigma."""
     size = sqrt_(log_(uniform_high(key, n, like)) * -2.0) * sigma
-    cosine, sine = turn((uniform_low(key, n, like) - 0.5) * wp.static(0.5 * 6.283185307179586))
+    cosine, sine = direction(uniform_low(key, n, like))
     return size * cosine, size * sine
 
 

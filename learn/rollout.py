@@ -213,13 +213,18 @@ class Rollout:
         out = out.reshape(self.num_sets, len(self.recordings), -1, self.channels)
         return out if isinstance(self.plant, BranchPlant) else self._watched(out)
 
+    @property
+    def _half_step(self) -> float:
+        """Half of a step [s], by which joints' coordinates are ahead of their rates."""
+        return 0.5 * self.simulator.dt / self.substeps
+
     def _watched(self, out: torch.Tensor) -> torch.Tensor:
         """Measured channels of joints at their samples.
 
         A step takes rates at its ends and coordinates, like what acts, in its middle (leapfrog): the coordinates are
         half a step h ahead, x(t) = x - h / 2 v - h^2 / 8 a. So they are at the start, see `_reset`.
         """
-        half = 0.5 * self.simulator.dt / self.substeps
+        half = self._half_step
         ahead, rate, gained = out.unflatten(-1, (-1, 3)).unbind(-1)
         at_sample = torch.stack([ahead - half * (rate + 0.5 * half * gained), rate, gained], -1)
         return at_sample.flatten(-2)[..., self._select]
@@ -245,7 +250,7 @@ class Rollout:
             guess = torch.as_tensor(np.stack([r.start for r in self.recordings]), device=state.velocity.torch.device)
             start = guess.expand(self.num_sets, *guess.shape)
         rows = self._padded(start).view(self.blocks, self.model.width, *start.shape[1:]).clone()
-        rows[..., 0] += 0.5 * self.simulator.dt / self.substeps * rows[..., 1]
+        rows[..., 0] += self._half_step * rows[..., 1]
         for field, entry, c in ((state.coordinate, 1, 0), (state.velocity, 0, 1)):
             target = field.torch.unflatten(0, (self._chains, self.blocks))
             for i in range(start.shape[2]):
