@@ -5,7 +5,8 @@ ones it is built with; the plain step (`articulated`) knows nothing of them.
 
 ``joint``  ``law(j, p, r)`` takes a `JointState`, the parameters and an empty `Response` that holds the joint's memory
            (zero at the start); it returns one of the type of r: torque added to the joint's effort [N m or N], new
-           memory, stiffness beyond the joint's spring [N m/rad], damping [N m s/rad]; torque is without the damper's
+           memory, stiffness beyond the joint's spring [N m/rad], damping [N m s/rad]; torque is without the damper's.
+           A law that remembers two vectors gets a `LongResponse`, with ``second`` after ``memory``
 ``link``   ``law(b, p)`` takes a `LinkState` and returns the force on the link's centre of area, world axes [N]
 ``force``  ``law(g, p)`` takes a `ForceState` and returns the force that truly acts, from what the sensor recorded [N]
 
@@ -69,7 +70,7 @@ class Term(NamedTuple):
         law: Device function; None for the latter.
         slot: Which of the terms it is.
         per_joint: Whether every joint has parameters of its own; else they stand at place 0.
-        memory: Whether it has a memory, one vector a joint.
+        memory: How many vectors each joint remembers, up to two.
         persistent: Whether that memory outlasts a recording (damage), or is zero at the start of each.
     """
 
@@ -78,8 +79,13 @@ class Term(NamedTuple):
     law: Any
     slot: int
     per_joint: bool
-    memory: bool = False
+    memory: int = 0
     persistent: bool = False
+
+
+def memory_row(terms: tuple[Term, ...], slot: int) -> int:
+    """Return how many vectors the terms before a slot remember: the first row of that term's memory."""
+    return sum(term.memory for term in terms if term.slot < slot)
 
 
 @cache
@@ -109,6 +115,14 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
     class Response:
         torque: Vec
         memory: Vec
+        stiffness: Real
+        damping: Real
+
+    @wp.struct
+    class LongResponse:
+        torque: Vec
+        memory: Vec
+        second: Vec
         stiffness: Real
         damping: Real
 
@@ -143,7 +157,8 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         stride: int
 
     return SimpleNamespace(**vars(t), Parameters=Parameters, JointState=JointState, Response=Response,
-                           LinkState=LinkState, ForceState=ForceState, Effects=Effects)  # fmt: skip
+                           LongResponse=LongResponse, LinkState=LinkState, ForceState=ForceState,
+                           Effects=Effects)  # fmt: skip
 
 
 # ---- chains: each function calls the one before it and adds a law ----------------------------------------------------
@@ -184,19 +199,25 @@ def _reader(term: Term, types: SimpleNamespace, key: str) -> Any:
     return _named(read, term, f"read{key}")
 
 
-def _with_joint(before: Any, term: Term, types: SimpleNamespace, key: str) -> Any:
-    read, law, slot, remembers = _reader(term, types, key), term.law, term.slot, int(term.memory)
+def _with_joint(before: Any, term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
+    read, law, slot, memory = _reader(term, types, key), term.law, term.slot, term.memory
+    LongResponse = types.LongResponse
 
     def joint(e: int, i: int, fx: Any, j: Any, r: Any):
         sofar = before(e, i, fx, j, r)
         if fx.active[e, slot] == 1:
-            k = slot * fx.stride + i
-            mine = r
-            if wp.static(remembers):
-                mine = type(r)(r.torque, fx.memory[e, k], r.stiffness, r.damping)
-            own = law(j, read(e, i, fx), mine)
-            if wp.static(remembers):
+            k = row * fx.stride + i
+            p = read(e, i, fx)
+            if wp.static(memory == 0):
+                own = law(j, p, r)
+            if wp.static(memory == 1):
+                own = law(j, p, type(r)(r.torque, fx.memory[e, k], r.stiffness, r.damping))
                 fx.memory[e, k] = own.memory
+            if wp.static(memory == 2):
+                long = LongResponse(r.torque, fx.memory[e, k], fx.memory[e, k + fx.stride], r.stiffness, r.damping)
+                own = law(j, p, long)
+                fx.memory[e, k] = own.memory
+                fx.memory[e, k + fx.stride] = own.second
             sofar = type(r)(
                 sofar.torque + own.torque, sofar.memory, sofar.stiffness + own.stiffness, sofar.damping + own.damping
             )
@@ -232,9 +253,12 @@ def _with_force(before: Any, term: Term, types: SimpleNamespace, key: str) -> An
 def chain_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
     """Return the device function that applies all terms of a kind, in their order."""
     chain = {"joint": no_joint, "link": no_link, "force": no_force}[kind]
-    extend = {"joint": _with_joint, "link": _with_link, "force": _with_force}[kind]
     for n, term in enumerate(t for t in terms if t.kind == kind):
-        chain = extend(chain, term, types, f"{key}_{n}")
+        given = (chain, term, types, f"{key}_{n}")
+        if kind == "joint":
+            chain = _with_joint(*given, memory_row(terms, term.slot))
+        else:
+            chain = _with_link(*given) if kind == "link" else _with_force(*given)
     return chain
 
 

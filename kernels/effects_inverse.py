@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 
 from .algebra import add, mul, sub
-from .effects import Term, step_of
+from .effects import Term, memory_row, step_of
 from .real import SOURCE, real
 
 __all__ = ["effect_efforts_kernel"]
@@ -23,7 +23,7 @@ def effect_efforts_kernel(width: int, precision: int, terms: tuple[Term, ...]) -
     t, law = parts.types, parts.joint
     Model, Scratch, Real, Vec = t.Model, t.Scratch, t.Real, t.Vec
     Effects, JointState, Response = t.Effects, t.JointState, t.Response
-    num_slots = len(terms)
+    num_rows = memory_row(terms, len(terms))
 
     @wp.kernel(enable_backward=False, module="unique")
     def efforts(
@@ -46,7 +46,7 @@ def effect_efforts_kernel(width: int, precision: int, terms: tuple[Term, ...]) -
         j = trajectory[e]
         o = real(0.0, m.mass[e, 1])
         zero = Vec(o, o, o)
-        for k in range(num_slots * fx.stride):
+        for k in range(num_rows * fx.stride):
             fx.memory[e, k] = zero
         count = watched.shape[0]
         for k in range(length[j]):

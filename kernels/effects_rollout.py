@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from .algebra import add, add_cross, add_scaled, cross, div, dot, mul, rotate, sub, unrotate
-from .effects import CALM, GROUPS, MOVING, PARAMETERS, STILL, Term, step_of
+from .effects import CALM, GROUPS, MOVING, PARAMETERS, STILL, Term, memory_row, step_of
 from .observe import locate_links
 from .real import SOURCE, fma, fnma, real, sqrt_, where_neg
 
@@ -87,20 +87,20 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
     has_slip, slip_slot = int("grasp_slip" in slots), slots.get("grasp_slip", 0)
     has_delay, delay_slot = int("time_delay" in slots), slots.get("time_delay", 0) * PARAMETERS
     lasts = int(any(x.persistent for x in terms))
-    lasting = tuple(x.slot for x in terms if x.memory and x.persistent)
-    num_slots = len(terms)
+    num_slots, num_rows = len(terms), memory_row(terms, len(terms))
+    slip_row = memory_row(terms, slip_slot)
     has_lasting, has_resting = (num_slots + GROUPS.index(k) for k in ("lasting", "resting"))
     delay_term = slots.get("time_delay", 0)
-    marks = [int(slot in lasting) for slot in range(num_slots)]
-    kept = wp.constant(wp.types.vector(num_slots, wp.int32)(*marks))
+    marks = [int(x.persistent) for x in terms for _ in range(x.memory)]
+    kept = wp.constant(wp.types.vector(max(1, num_rows), wp.int32)(*(marks or [0])))
 
     def forget(e: int, m: Any, fx: Any, everything: int):
         """Clear the memories of a group: those that a recording's end clears, or all."""
-        for slot in range(num_slots):
-            if everything == 1 or kept[slot] == 0:
+        for row in range(num_rows):
+            if everything == 1 or kept[row] == 0:
                 for i in range(m.count[e] + 1):
-                    z = fx.memory[e, slot * fx.stride + i]
-                    fx.memory[e, slot * fx.stride + i] = z - z
+                    z = fx.memory[e, row * fx.stride + i]
+                    fx.memory[e, row * fx.stride + i] = z - z
 
     forget = wp.func(forget, name=f"forget_{key}")
 
@@ -244,7 +244,7 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                 slip = zero
                 if wp.static(has_slip):
                     if fx.active[e, slip_slot] == 1:
-                        z = fx.memory[e, slip_slot * fx.stride]
+                        z = fx.memory[e, slip_row * fx.stride]
                         axis = rotate(s_out.pose[r, place], along)
                         arm = add_scaled(arm, axis, z.x)
                         slip = axis * z.y
@@ -280,7 +280,7 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                                 mobility = fx.parameter[e, q]
                                 least = fx.parameter[e, q + fx.stride]
                                 far = slid(
-                                    fx, e, slip_slot * fx.stride, acting, mobility, least, grip[j, 6], grip[j, 7],
+                                    fx, e, slip_row * fx.stride, acting, mobility, least, grip[j, 6], grip[j, 7],
                                     real(h, o),
                                 )  # fmt: skip
                                 u_out.point[e, place] = add_scaled(nominal, along, far)

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..sim.launcher import together
+from ..sim.thread_pool import together
 from .pointnet import PointNet
 from .task import TaskRegistry
 
@@ -68,8 +68,8 @@ def measure(
 def kernels(sensor: Any) -> EmbeddingTime:
     """Time bough's kernels as training runs them: every CPU thread a share of the worlds, or one launch on a GPU."""
     cuts = np.linspace(0, sensor.num_worlds, sensor.threads + 1).astype(int).tolist()
-    parts = [sensor.commands(a, b - a)[_EMBED] for a, b in pairwise(cuts)]
-    seconds = _median(lambda: together(parts), _REPEATS[KERNELS])
+    parts = [sensor.commands(a, b - a)[_EMBED : _EMBED + 1] for a, b in pairwise(cuts)]
+    seconds = _median(together(parts), _REPEATS[KERNELS])
     return EmbeddingTime(KERNELS, sensor.num_worlds, seconds, 4 * sensor.num_worlds)
 
 

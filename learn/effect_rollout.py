@@ -9,7 +9,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..kernels.effects import GROUPS, PARAMETERS, effect_types
+from ..kernels.effects import GROUPS, PARAMETERS, effect_types, memory_row
 from ..kernels.effects_rollout import effect_rollout_kernels
 from ..sim.arrays import LaneArray
 from ..sim.effects import terms_of
@@ -34,9 +34,10 @@ class EffectArrays:
     def __init__(self, rollout: Rollout) -> None:
         m, acting = rollout.model, rollout.plant.acting
         stride, count = m.places + 1, len(acting.names)
+        vectors = memory_row(terms_of(acting.names, acting.form), count)
         self.arrays: dict[str, LaneArray] = {
             FIELD: m.field("Real", places=count * PARAMETERS * stride),
-            "memory": m.field("Vec", places=count * stride),
+            "memory": m.field("Vec", places=max(1, vectors * stride)),
             "settle": m.field("Real", places=1),
             **{name: m.field("Vec") for name in ("effort", "hold", "wind", "centre")},
             **{name: m.field("Real") for name in ("damping", "area")},

@@ -15,7 +15,7 @@ from ..kernels.cloud_tensors import count_pairs_kernel, embed_points_kernel
 from ..kernels.real import real_type
 from ..sim.errors import InputError
 from ..sim.host import num_threads, simd_width
-from ..sim.launcher import together
+from ..sim.thread_pool import together
 from .frequencies import draw_frequencies
 
 #: Clouds a CPU thread should have at least: handing over to another costs some 50 microseconds.
@@ -181,4 +181,4 @@ def _launch(record: Callable[[int, int, int], Any], clouds: int, device: Any) ->
     cuts = np.linspace(0, clouds, threads + 1).astype(int).tolist()
     parts = [record(a, b - a, i) for i, (a, b) in enumerate(pairwise(cuts)) if b > a]
     if parts:
-        together(parts)
+        together([[part] for part in parts])()

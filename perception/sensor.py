@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any, Protocol
@@ -18,7 +18,7 @@ from ..kernels.point_cloud import NUM_CLOUDS, Shapes, cloud_types, sample_kernel
 from ..sim import arrays
 from ..sim.errors import InputError
 from ..sim.host import num_threads, simd_width
-from ..sim.launcher import together
+from ..sim.thread_pool import together
 from .frequencies import draw_frequencies
 
 #: First columns of what `Sensor.update` writes, in the 88 numbers of the thesis's table 5.1.
@@ -263,8 +263,7 @@ class Sensor:
     def _prepare(self, *, split: bool) -> Callable[[], None]:
         """Return a function that launches all kernels; on a CPU each thread takes a run of worlds through all."""
         cuts = np.linspace(0, self.num_worlds, (self.threads if split else 1) + 1).astype(int).tolist()
-        runs = [_Run(self.commands(a, b - a)) for a, b in pairwise(cuts)]
-        return runs[0].launch if len(runs) == 1 else lambda: together(runs)
+        return together([self.commands(a, b - a) for a, b in pairwise(cuts)])
 
     def commands(self, first: int, count: int) -> list[Any]:
         """Return the recorded launches for ``count`` worlds from ``first``, after `bind`.
@@ -289,18 +288,6 @@ class Sensor:
                                        self._tick, self._occlusion, self._distances, self._breach, self._observation]),
         ]  # fmt: skip
         return [wp.launch(k, dim=d, inputs=i, device=self.device, record_cmd=True) for k, d, i in plan]
-
-
-class _Run:
-    """Recorded launches, one after the other."""
-
-    def __init__(self, commands: Sequence[Any]) -> None:
-        self._commands = commands
-
-    def launch(self) -> None:
-        """Launch them all."""
-        for command in self._commands:
-            command.launch()
 
 
 def _squared(distance: float) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..kernels.effects import PARAMETERS, Term
+from ..kernels.effects import PARAMETERS, Term, memory_row
 from ..kernels.reset import reset_kernels
 from ..kernels.terms.step import KINDS, term_kernels, term_types
 from . import arrays
@@ -157,11 +157,10 @@ class ForestEffects(Mapping[str, Mapping[str, torch.Tensor]]):
     def _allocate(self) -> None:
         """Make the kernels' struct: what is known of the links, the lanes' parameters, memories, working memory."""
         m, stride = self.model, self.model.places + 1
-        remembering = max((t.slot + 1 for t in self.terms if t.memory), default=0)
         kinds = {"area": "Real", "centre": "Vec", "end": "Vec", "pose": "Quat", "offset": "Vec"}
         self._fields = {name: m.field(kind) for name, kind in kinds.items()}
         self._fields["parameter"] = m.field("Real", places=len(self.terms) * PARAMETERS * stride)
-        self._fields["memory"] = m.field("Vec", places=max(1, remembering * stride))
+        self._fields["memory"] = m.field("Vec", places=max(1, memory_row(self.terms, len(self.terms)) * stride))
         self._fields |= {name: self._launcher.field("Vec") for name in ("hold", "effort", "wind")}
         types = term_types(m.width, m.precision)
         self.kernel = types.Terms()

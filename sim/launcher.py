@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +12,7 @@ from ..kernels.layout import layout_of
 from .arrays import LaneArray
 from .host import num_threads
 from .model import Model
+from .thread_pool import together
 
 _SCRATCH = {
     "pose": "Quat", "r": "Vec", "relative": "Vec", "spin": "Vec", "alpha0": "Vec", "accel0": "Vec", "A": "Sym",
@@ -27,11 +26,6 @@ APART = 4096
 
 #: Threads of a block on a GPU: one warp, so that a thousand worlds occupy 32 multiprocessors instead of four.
 BLOCK = 32
-
-
-@lru_cache(maxsize=1)
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(num_threads(), thread_name_prefix="bough")
 
 
 class Launcher:
@@ -84,7 +78,6 @@ class Launcher:
         """
         block = BLOCK if self.device.is_cuda else 1
         kernel.module.load(self.device, block_dim=block)  # as launches do: compile once
-        threads = self.threads if split else 1
         ranges = self._ranges if split else [(0, self.model.groups)]
         commands = [
             wp.launch(
@@ -97,17 +90,7 @@ class Launcher:
             )
             for row, (a, b) in enumerate(ranges)
         ]
-        if threads == 1:
-            return commands[0].launch
-        return lambda: together(commands)
-
-
-def together(commands: Sequence[Any]) -> None:
-    """Launch recorded commands on threads of their own and wait for all of them."""
-    waiting = [_pool().submit(c.launch) for c in commands[1:]]
-    commands[0].launch()
-    for future in waiting:
-        future.result()
+        return together([[c] for c in commands])
 
 
 class Recorded:

@@ -37,7 +37,7 @@ _LAW = Law(
     "joint",
     (EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log"),),
     dry_friction,
-    memory=True,
+    memory=1,
 )
 
 EFFECT = register(

@@ -28,7 +28,7 @@ EFFECT = register(
                 EffectParameter("least_N", "N", lambda s: 0.02 * s.force, lambda s: s.force, scale="log", tries=6),
             ),
             per_joint=False,
-            memory=True,
+            memory=1,
         ),
     )
 )

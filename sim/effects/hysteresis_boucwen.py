@@ -31,7 +31,7 @@ _LAW = Law(
         EffectParameter("yield_rad", "rad", lambda s: 0.02 * s.angle, lambda s: s.angle, scale="log"),
     ),
     hysteresis_boucwen,
-    memory=True,
+    memory=1,
 )
 
 EFFECT = register(

@@ -10,35 +10,71 @@ from .registry import Effect, EffectParameter, Law, register
 
 
 @wp.func
-def plastic_set(j: Any, p: Any, r: Any):
-    """tau = +s K b, where b follows phi at the distance y: b += max(0, |phi - b| - y) along phi - b.
+def size(x: Any):
+    """|x|."""
+    return where_neg(x, x - x - x, x)
 
-    The radial return of plasticity with linear kinematic hardening H: b = phi_p / s with s = K / (K + H).
+
+@wp.func
+def beyond(x: Any, limit: Any):
+    """What x exceeds a limit by, with the sign of x; none within it."""
+    o = x - x
+    over = size(x) - limit
+    over = where_neg(over, o, over)
+    return where_neg(x, o - over, over)
+
+
+@wp.func
+def norm(v: Any):
+    """|v|, above zero, so that a direction can be divided by it."""
+    o = real(0.0, v.x)
+    return sqrt_(fma(dot(v, v), real(1.0, o), real(1.0e-20, o)))
+
+
+@wp.func
+def plastic_set(j: Any, p: Any, r: Any):
+    """tau = +s K b; b follows phi: b += max(0, |d| - y - h |c|) along d = phi - (1 - h) b; c_k sums what b_k went.
+
+    The radial return of plasticity with linear hardening H, phi_p = s b, s = K / (K + H). The share i of H is isotropic
+    (h = i (1 - s)), the rest kinematic; both count in s, so that the first push looks the same whatever i. The share m
+    of the return is about each axis by itself, max(0, |d_k| - y - h c_k).
     """
     o = real(0.0, p.a)
-    d = j.angle - r.memory
-    size = sqrt_(fma(dot(d, d), real(1.0, o), real(1.0e-20, o)))
-    over = size - p.b
-    over = where_neg(over, o, over)
-    on = where_neg(o - p.a, over, o)
-    b = r.memory + d * (on / size)
-    return type(r)(b * (p.a * j.stiffness), b, o, o)
+    one = real(1.0, o)
+    h = p.c * (one - p.a)
+    d = j.angle - r.memory * (one - h)
+    c = r.second
+    reach = norm(d)
+    joint = beyond(reach, p.b + h * norm(c)) / reach * (one - p.d)
+    on = where_neg(o - p.a, one, o)
+    moved = type(d)(
+        on * fma(joint, d.x, p.d * beyond(d.x, fma(h, c.x, p.b))),
+        on * fma(joint, d.y, p.d * beyond(d.y, fma(h, c.y, p.b))),
+        on * fma(joint, d.z, p.d * beyond(d.z, fma(h, c.z, p.b))),
+    )
+    b = r.memory + moved
+    gone = c + type(d)(size(moved.x), size(moved.y), size(moved.z))
+    return type(r)(b * (p.a * j.stiffness), b, gone, o, o)
 
 
 _PARAMETERS = (
     EffectParameter("share", "1", 0.02, 0.95, scale="log", typical=0.3, tries=1),
     EffectParameter("yield_rad", "rad", lambda s: 0.05 * s.angle, lambda s: s.angle, scale="log"),
+    EffectParameter("isotropic", "1", 0.0, 1.0, tries=1),
 )
+_SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2)
 
 EFFECT = register(
     Effect(
         name="plastic_set",
-        summary="beyond an angle y from where it last came to rest a share s of the turn stays; it stays for good",
-        source="Simo & Hughes, Computational Inelasticity (1998), box 1.5 (linear kinematic hardening)",
+        summary="beyond an angle y from where it last came to rest a share s of the turn stays, for good; what has"
+        " stayed moves y (kinematic hardening) or, in the share i, widens it (isotropic); at a ball joint a share of it"
+        " may act about each axis of the segment by itself",
+        source="Simo & Hughes, Computational Inelasticity (1998), box 1.5 (linear isotropic and kinematic hardening)",
         signature="the branch rests elsewhere after a large push, and later small pushes are as before",
         mistaken_for=("hysteresis_boucwen", "dry_friction", "partial_rupture"),
         probe="a small push, a large one, the same small push again, with the gripper open in between",
-        branch=Law("joint", _PARAMETERS, plastic_set, memory=True, persistent=True),
-        joint=Law("joint", _PARAMETERS, plastic_set, memory=True),
+        branch=Law("joint", (*_PARAMETERS, _SEPARATE), plastic_set, memory=2, persistent=True),
+        joint=Law("joint", _PARAMETERS, plastic_set, memory=2),
     )
 )

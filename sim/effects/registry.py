@@ -123,7 +123,7 @@ class Law:
     parameters: tuple[EffectParameter, ...]
     law: Any = None
     per_joint: bool = True
-    memory: bool = False
+    memory: int = 0
     persistent: bool = False
     settles: bool = False
 

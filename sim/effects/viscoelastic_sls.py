@@ -30,7 +30,7 @@ _LAW = Law(
         EffectParameter("relaxation_s", "s", lambda s: 2.0 * s.dt, lambda s: s.duration, scale="log"),
     ),
     viscoelastic_sls,
-    memory=True,
+    memory=1,
 )
 
 EFFECT = register(

@@ -420,12 +420,12 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
     case = stick_case(tmp_path / "c", [held(60), held(60, -FORCE)])
     at_joint, elsewhere = ("hysteresis_boucwen", "plastic_set"), ("wind_gust", "steady_wind", "time_delay", "tip_mass")
     acting = (*(Acting(n, 0) for n in at_joint), *(Acting(n) for n in elsewhere))
-    values = torch.tensor([[KS, DS, 0.3, 0.05, 0.4, 0.05, 20, 30, -20, 5, 0.9, 10, 5, -5, 0.01, 0.02]])
+    values = torch.tensor([[KS, DS, 0.3, 0.05, 0.4, 0.05, 0.5, 0.3, 20, 30, -20, 5, 0.9, 10, 5, -5, 0.01, 0.02]])
     outs = []
     for width in (1, 8):
         monkeypatch.setattr("bough.learn.rollout.simd_width", lambda w=width: w)
         rollout = Rollout(case, recordings(case), 2, unknowns=Unknowns(effects=acting))
         order = [p.name for p in rollout.plant.parameters]
-        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 16
+        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 18
         outs.append(rollout(values.repeat(2, 1)).clone())
     assert (outs[0] == outs[1]).all() and torch.isfinite(outs[0]).all()

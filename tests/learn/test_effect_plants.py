@@ -129,7 +129,7 @@ BRANCH_TRUTH = {
     "tip_mass": (0.2,),
     "base_compliance": (0.02, 0.1, 0.02),
     "backlash": (0.03, 0.5),
-    "plastic_set": (0.4, 0.1),
+    "plastic_set": (0.4, 0.1, 0.6, 0.5),
     "partial_rupture": (0.4, 20.9),
     "grasp_slip": (-0.05, 0.5),
     "force_bias": (0.2, -0.3, 0.25),

@@ -83,8 +83,8 @@ def test_noise_does_no_damage(tmp_path):
     values = torch.tensor(np.concatenate([STIFFNESS, DAMPING]))
     given = (recordings(case), values, np.full(3, 0.1), torch.full((6,), 1e-3))
     plain = input_colour(case, *given)
-    share = Acting("plastic_set", 1, {"yield_rad": 0.01})
-    for acting, more in ((share, [0.4]), (replace(share, known={"share": 0.4, "yield_rad": 0.01}), [])):
+    share = Acting("plastic_set", 1, {"yield_rad": 0.01, "isotropic": 0.5, "separate": 0.5})
+    for acting, more in ((share, [0.4]), (replace(share, known={**share.known, "share": 0.4}), [])):
         with_set = torch.cat([values, torch.tensor(more, dtype=torch.float64)])
         unknowns = Unknowns(effects=(acting,), box=("stiffness=1:200",))
         colour = input_colour(case, given[0], with_set, *given[2:], unknowns=unknowns)

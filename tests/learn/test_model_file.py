@@ -145,7 +145,7 @@ def plastic(tmp_path_factory):
     """Return a case of a stick whose joint yields for good, and its model."""
     folder = tmp_path_factory.mktemp("plastic")
     truth = {"stiffness": np.array([40.0]), "damping": np.array([0.5])}
-    acting = (Acting("plastic_set", 0, {"share": 0.4, "yield_rad": 0.1}),)
+    acting = (Acting("plastic_set", 0, {"share": 0.4, "yield_rad": 0.1, "isotropic": 0.3, "separate": 0.2}),)
     case = write_simulated_case(folder / "case", random_branch(np.random.default_rng(3), 1), truth,
                                 Experiment(samples=60, rate=25.0, noise=0.01), trajectories=4, seed=3,
                                 unknowns=Unknowns(effects=acting))  # fmt: skip
