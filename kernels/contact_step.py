@@ -27,15 +27,20 @@ from .contact_space import (
     space_functions,
     turns_of,
 )
+from .effects import Term
 from .observe import locate_joints
 from .real import SOURCE
+from .terms.step import term_functions, term_types, time_of
 
 __all__ = ["contact_step_kernel"]
 
 
 @cache
-def contact_step_kernel(width: int, dof: int) -> Any:
-    """Return the kernel ``step`` for a lane width and an arm with ``dof`` joints (float32)."""
+def contact_step_kernel(width: int, dof: int, terms: tuple[Term, ...] = ()) -> Any:
+    """Return the kernel ``step`` for a lane width and an arm with ``dof`` joints (float32).
+
+    With terms the branches obey their laws, and the loads ``u_in``; without, neither is read.
+    """
     t = contact_types(width, 32)
     Model, State, Scratch, Shapes, Touch = t.Model, t.State, t.Scratch, t.Shapes, t.Touch
     arm = arm_types(dof)
@@ -45,6 +50,9 @@ def contact_step_kernel(width: int, dof: int) -> Any:
     free_arm, response, push_arm, judge_servos = own.free_arm, own.response, own.push_arm, own.judge_servos
     finish_arm, note_response = own.finish_arm, shared.note_response
     solve_contacts, summed = shared.solve_contacts, shared.summed
+    Terms, Load = term_types(width, 32).Terms, t.Load
+    laws, with_laws = term_functions(width, 32, terms), int(len(terms) > 0)
+    start, feel, fold = laws.start, laws.feel, laws.fold
     W = width
 
     @wp.func(inline=True)
@@ -113,14 +121,16 @@ def contact_step_kernel(width: int, dof: int) -> Any:
     @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 1})
     def step(
         m: Model, x_in_out: State, a: Arm, y_in_out: ArmState, k_out: ArmWork, rule: ContactRule, shapes: Shapes,
-        touch_out: Touch, space_out: Space, g_out: ArmLanes, slot_world: wp.array(dtype=int), s_out: Scratch,
-        first: int, row: int, substeps: int, h: wp.float64, bound: wp.float64,
+        touch_out: Touch, space_out: Space, g_out: ArmLanes, u_in: Load, fx: Terms, slot_world: wp.array(dtype=int),
+        s_out: Scratch, first: int, row: int, substeps: int, h: wp.float64, bound: wp.float64,
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
         dt = wp.float32(h)
-        for _k in range(substeps):
+        if wp.static(with_laws):
+            start(e, r, m, fx, s_out, h * wp.float64(substeps))
+        for k in range(substeps):
             place_root(e, r, m, s_out)
             place_links(e, r, m, x_in_out, s_out)
             locate_joints(e, r, m, s_out, touch_out.at, touch_out.velocity)
@@ -136,7 +146,12 @@ def contact_step_kernel(width: int, dof: int) -> Any:
             find_branch_contacts(e, r, W, slot_world, a, g_out, rule, shapes, s_out, touch_out, with_line, dt)
             if rule.branch_branch == 1:
                 find_crossings(e, r, W, slot_world, rule, shapes, s_out, touch_out, dt)
-            fold_links(e, r, m, x_in_out, s_out, h)
+            if wp.static(with_laws):
+                time = time_of(e, fx, k, h)
+                feel(e, r, m, fx, s_out, time)
+                fold(e, r, m, x_in_out, u_in, fx, s_out, h, time)
+            else:
+                fold_links(e, r, m, x_in_out, s_out, h)
             todo = mark_paths(e, r, W, slot_world, m, rule, touch_out)
             if todo == 1:
                 respond(e, r, m, s_out, touch_out, h)

@@ -14,6 +14,7 @@ import warp as wp
 from ..kernels.contact_look import capsule_kernel
 from ..kernels.contact_step import contact_step_kernel
 from ..kernels.reset_arm import reset_arm_kernel
+from ..kernels.terms.step import term_types
 from .arm import Arm
 from .arm_arrays import ArmArrays, TouchArrays
 from .errors import InputError
@@ -92,7 +93,8 @@ class ArmSimulator(Simulator):
     """Steps an arm among branches in all worlds together: `Simulator` with an arm, a line, a ground and contact.
 
     The world frame is the arm's base frame, z up. The branches are `model`'s trees and obey everything that
-    `Simulator` says; the arm is solved world by world (`kernels.arm`), contact by `kernels.contact`.
+    `Simulator` says, effects included (a `load` acts beside effects only); the arm is solved world by world
+    (`kernels.arm`), contact by `kernels.contact`.
 
     Attributes:
         arm, contacts: What they were made from.
@@ -125,6 +127,7 @@ class ArmSimulator(Simulator):
         threads: int | None = None,
         width: int | None = None,
         breakable: bool = False,
+        effects: Sequence[str] = (),
     ) -> None:
         """Allocate everything that stepping needs.
 
@@ -139,17 +142,20 @@ class ArmSimulator(Simulator):
             threads: CPU threads; None takes all cores.
             width: Worlds a thread; None takes what suits the device and the number of worlds.
             breakable: Whether joints break whose springs pass `strength`.
+            effects: Names of effects that the branches' step is built with; see `Simulator`.
 
         Raises:
             InputError: As `Model` and `Simulator` do.
         """
         self.arm, self.contacts = arm, Contacts() if contacts is None else contacts
         model = Model(trees, gravity=gravity, device=device, width=width)
-        super().__init__(model, dt=dt, substeps=substeps, threads=threads)
+        super().__init__(model, dt=dt, substeps=substeps, threads=threads, effects=effects)
         worlds = model.num_worlds
         self._arm = ArmArrays(arm, worlds, model.gravity, model.device)
         self._touch = TouchArrays(model, self._launcher, arm, self.contacts.capacity)
         self._set_rule()
+        types = term_types(model.width, model.precision)
+        self._no_load, self._no_effects = types.Load(), types.Terms()  # a step without effects reads neither
         for name in ("q", "qd", "torque", "target", "end_position", "end_rotation"):
             setattr(self, name, getattr(self._arm, name))
         self.arm_force = self._arm.force
@@ -235,8 +241,9 @@ class ArmSimulator(Simulator):
             self.rupture.judge()
 
     def _prepare_step(self, count: int, *, split: bool) -> Callable[[], None]:
-        kernel = contact_step_kernel(self.model.width, self.arm.num_dofs)
-        before = [self._dynamics, self.state.kernel, *self._arm.kernel, *self._touch.kernel, self._slot_world]
+        kernel = contact_step_kernel(self.model.width, self.arm.num_dofs, self.effects.terms)
+        laws = [self.load.kernel, self.effects.kernel] if self.effects else [self._no_load, self._no_effects]
+        before = [self._dynamics, self.state.kernel, *self._arm.kernel, *self._touch.kernel, *laws, self._slot_world]
         after = [count * self.substeps, self.dt / self.substeps, self.max_speed]
         return self._launcher.prepare(kernel, before, after, split=split)
 

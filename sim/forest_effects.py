@@ -265,6 +265,13 @@ class ForestEffects(Mapping[str, Mapping[str, torch.Tensor]]):
         """Time of every world since its start [s], a copy, float64, shape [worlds]."""
         return self._clock.torch[:, 0, 0, 0][self._slot]
 
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Return values, memories and clocks by name, as views: copying back what was copied undoes all between."""
+        if not self.terms:
+            return {}
+        carried = {f"memory {n}": field.torch for n, (field, _) in enumerate(self._memories)}
+        return carried | {"values": wp.to_torch(self._table)}
+
     def step_kernel(self) -> Any:
         """Return the step with these terms."""
         m = self.model

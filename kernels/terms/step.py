@@ -35,7 +35,7 @@ from ..effects import PARAMETERS, Term, centre_velocity, chain_of, effect_types,
 from ..momentum import HELD, PIVOTED, add_gravity, add_impulses, restore_momentum, sum_momentum
 from ..real import SOURCE, fma, real, where_neg
 
-__all__ = ["KINDS", "term_kernels", "term_types"]
+__all__ = ["KINDS", "term_functions", "term_kernels", "term_types", "time_of"]
 
 #: Kinds of terms that a free step knows; ``active`` holds a flag for each behind those of the terms.
 KINDS = ("joint", "link", "tip_mass")
@@ -208,7 +208,7 @@ def _blowing(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> Any:
 
 
 def _advancing(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> SimpleNamespace:
-    """Device functions of one step: ``advance`` takes it, ``push`` adds the laws' impulses to the momenta before it."""
+    """Device functions of one step; see `term_functions`."""
     kinds = [term.kind for term in terms]
     has_joint, has_link, has_end = (int(kind in kinds) for kind in KINDS)
     at_joint, at_link, at_end = (len(terms) + n for n in range(len(KINDS)))
@@ -251,13 +251,19 @@ def _advancing(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> SimpleN
 
     fold = wp.func(fold, name=f"fold_{key}")
 
+    def feel(e: int, row: int, m: Any, fx: Any, s: Any, time: Any):
+        """Write the laws' force on every link, where there is any."""
+        if wp.static(has_link):
+            if fx.active[e, at_link] == 1:
+                blow(e, row, m, fx, s, time)
+
+    feel = wp.func(feel, name=f"feel_{key}")
+
     def advance(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: Any, bound: wp.float64):
         """Take one semi-implicit step of length h [s] from the worlds' times."""
         place_root(e, row, m, s)
         place_links(e, row, m, x, s)
-        if wp.static(has_link):
-            if fx.active[e, at_link] == 1:
-                blow(e, row, m, fx, s, time)
+        feel(e, row, m, fx, s, time)
         fold(e, row, m, x, u, fx, s, h, time)
         advance_links(e, row, m, x, s, h, bound)
         x.tick[e] = x.tick[e] + 1
@@ -277,7 +283,42 @@ def _advancing(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> SimpleN
                 torque = rotate(s.pose[row, 1], fx.effort[row, 1])
                 s.n[row, 0] = s.n[row, 0] + torque * real(h, torque.x)
 
-    return SimpleNamespace(advance=wp.func(advance, name=f"advance_{key}"), push=wp.func(push, name=f"push_{key}"))
+    advance, push = wp.func(advance, name=f"advance_{key}"), wp.func(push, name=f"push_{key}")
+    return SimpleNamespace(feel=feel, fold=fold, advance=advance, push=push)
+
+
+@wp.func
+def time_of(e: int, fx: Any, k: int, h: wp.float64):
+    """Time of the worlds at step k of a launch [s]."""
+    begin = fx.begin[e]
+    return begin + real(h * wp.float64(k), begin)
+
+
+@cache
+def term_functions(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamespace:
+    """Return the device functions of a step with terms.
+
+    ``start(e, row, m, fx, s, duration)``  before the steps of a launch, which take ``duration`` together
+    ``feel(e, row, m, fx, s, time)``       after links are placed: forces on links
+    ``fold(e, row, m, x, u, fx, s, h, time)``  in the place of `articulated.fold_links_loaded`
+    ``advance(e, row, m, x, u, fx, s, h, time, bound)``  a whole step
+    ``push(e, row, m, fx, s, h)``          adds the laws' impulses to the momenta before a step
+    """
+    t = term_types(width, precision)
+    key = f"free_{width}_{precision}_" + "_".join(f"{term.name}_{term.kind}" for term in terms)
+    take, parts = _taking(t, len(terms), key), _advancing(t, terms, key)
+    ends = [term.slot for term in terms if term.kind == "tip_mass"]
+    has_end, end_slot = len(ends), ends[0] if ends else 0
+
+    def start(e: int, row: int, m: Any, fx: Any, s: Any, duration: wp.float64):
+        """Take over values and time, and hold the masses at links' ends."""
+        take(e, m, fx, duration)
+        if wp.static(has_end):
+            if fx.active[e, end_slot] == 1:
+                hold_ends(e, row, end_slot, m, fx, s)
+
+    parts.start = wp.func(start, name=f"start_{key}")
+    return parts
 
 
 @cache
@@ -286,12 +327,8 @@ def term_kernels(width: int, precision: int, terms: tuple[Term, ...], free: bool
 
     With ``free`` the momentum of trees that nothing holds is kept (`momentum`).
     """
-    t = term_types(width, precision)
-    key = f"free_{width}_{precision}_" + "_".join(f"{term.name}_{term.kind}" for term in terms)
-    take, move = _taking(t, len(terms), key), _advancing(t, terms, key)
-    advance, push = move.advance, move.push
-    ends = [term.slot for term in terms if term.kind == "tip_mass"]
-    has_end, end_slot = len(ends), ends[0] if ends else 0
+    t, parts = term_types(width, precision), term_functions(width, precision, terms)
+    start, advance, push = parts.start, parts.advance, parts.push
     Model, State, Load, Scratch, Terms = t.Model, t.State, t.Load, t.Scratch, t.Terms
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -302,19 +339,14 @@ def term_kernels(width: int, precision: int, terms: tuple[Term, ...], free: bool
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
-        take(e, m, fx, h * wp.float64(substeps))
-        begin = fx.begin[e]
-        if wp.static(has_end):
-            if fx.active[e, end_slot] == 1:
-                hold_ends(e, r, end_slot, m, fx, s_out)
+        start(e, r, m, fx, s_out, h * wp.float64(substeps))
         for k in range(substeps):
             if wp.static(free):
                 if m.free[e] != HELD:
                     sum_momentum(e, r, m, x_in_out, s_out)
                     add_gravity(r, s_out, h)
                     add_impulses(e, r, m, u_in, s_out, h)
-            time = begin + real(h * wp.float64(k), begin)
-            advance(e, r, m, x_in_out, u_in, fx, s_out, h, time, bound)
+            advance(e, r, m, x_in_out, u_in, fx, s_out, h, time_of(e, fx, k, h), bound)
             if wp.static(free):
                 if m.free[e] != HELD:
                     push(e, r, m, fx, s_out, h)

@@ -21,6 +21,7 @@ def simulator_tensors(sim: ArmSimulator) -> dict[str, torch.Tensor]:
     _, arm, work = sim._arm.kernel
     for label, struct in (("arm", arm), ("work", work)):
         out |= {f"{label} {name}": raw(getattr(struct, name)) for name in struct._cls.vars}
+    out |= {f"effect {name}": tensor for name, tensor in sim.effects.tensors().items()}
     return out | {f"touch {name}": raw(array) for name, array in sim._touch.warp.items()}
 
 

@@ -142,7 +142,12 @@ BRANCH_TRUTH = {
     "bilinear_stiffness": (1.0, 1.2),
     "bending_torsion_coupling": (0.4, 0.9),
 }
-FIXED_AT_TRUTH = {"gravity_comp_error": ("tared",), "wind_gust": ("frequency_Hz",), "partial_rupture": ("moment_s",)}
+FIXED_AT_TRUTH = {
+    "plastic_set": ("separate",),
+    "gravity_comp_error": ("tared",),
+    "wind_gust": ("frequency_Hz",),
+    "partial_rupture": ("moment_s",),
+}
 
 
 def switched_off(name):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 from bough.sim.arm import Arm, forward_kinematics
+from bough.sim.arm_arrays import arm_capsules
 from bough.sim.arm_simulator import ArmSimulator, Contacts
 from bough.sim.jaco2 import jaco2
 from bough.sim.tree import Joint, Tree, capsule_inertia
@@ -102,6 +103,18 @@ def simulator(trees, arm: Arm | None = None, *, q=STRETCHED, width: int = 1, con
     return sim
 
 
+def drive(sim, seconds: float, target, read=lambda sim: sim.q[0].numpy().copy(), substeps: int = 1) -> np.ndarray:
+    """Step under ``target(t)``, [dof] or [worlds, dof], and return what ``read`` finds every 1/240 s."""
+    out = []
+    for k in range(round(seconds / DT)):
+        sim.target.copy_(torch.as_tensor(np.asarray(target(k * DT)), dtype=torch.float32))
+        sim.step(substeps)
+        out.append(read(sim))
+    assert sim.faults() == []
+    assert int(sim.overflow.sum()) == 0
+    return np.array(out)
+
+
 def contacts_of(sim: ArmSimulator, world: int = 0) -> np.ndarray:
     """Contacts of a world in the last substep, a structured array of `kernels.contact.Contact`."""
     return sim._touch.record.numpy()[world, : int(sim._touch.count[world])]
@@ -119,6 +132,29 @@ def point_jacobian(arm: Arm, q: np.ndarray, link: int, point: np.ndarray) -> np.
 def _rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
     w, u = q[0], q[1:]
     return v + 2.0 * np.cross(u, np.cross(u, v) + w * v)
+
+
+def pushed_posts(count: int, seed: int = 1):
+    """Return posts beside links 2 to 6 of differently bent arms: (trees, q [count, 6], arm), in the way of joint 1."""
+    rng, arm = np.random.default_rng(seed), free_arm(friction=0.0)
+    link = np.r_[-1, arm.tree.shape_link]
+    radius = np.r_[arm.base_radius, arm.tree.shape_radius.mean(axis=1)]
+    trees, poses = [], []
+    for i in range(count):
+        q, c = STRETCHED + rng.uniform(-0.5, 0.5, 6), (2, 3, 4, 3, 2, 3)[i % 6]
+        start, end = arm_capsules(arm, q)
+        u = (end[c] - start[c]) / np.linalg.norm(end[c] - start[c])
+        middle = start[c] + rng.uniform(0.4, 0.8) * (end[c] - start[c])
+        way = point_jacobian(arm, q, int(link[c]), middle)[:, 0]
+        way -= u * (way @ u)
+        way /= np.linalg.norm(way)
+        lean = np.cross(u, way) * np.cos(0.4) + rng.uniform(-0.3, 0.3) * u
+        lean = lean * np.sign(lean[2]) / np.linalg.norm(lean)
+        at = middle + way * (radius[c] + 0.014) - 0.3 * lean
+        stiffness = (30.0, 100.0, 300.0)[i % 3]
+        trees.append(post(at, direction=lean, stiffness=stiffness, length=0.5, mass=0.1, damping=10.0))
+        poses.append(q)
+    return trees, np.array(poses), arm
 
 
 def roughness(force: np.ndarray, found: list[np.ndarray]) -> tuple[float, float, int]:

@@ -16,9 +16,11 @@ from oracles.contact_case import (
     DT,
     STRETCHED,
     contacts_of,
+    drive,
     free_arm,
     point_jacobian,
     post,
+    pushed_posts,
     roughness,
     simulator,
     slider,
@@ -36,18 +38,6 @@ def _elsewhere(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("log"))
         yield
-
-
-def drive(sim, seconds: float, target, read=lambda sim: sim.q[0].numpy().copy(), substeps: int = 1) -> np.ndarray:
-    """Step under ``target(t)``, [dof] or [worlds, dof], and return what ``read`` finds every 1/240 s."""
-    out = []
-    for k in range(round(seconds / DT)):
-        sim.target.copy_(torch.as_tensor(np.asarray(target(k * DT)), dtype=torch.float32))
-        sim.step(substeps)
-        out.append(read(sim))
-    assert sim.faults() == []
-    assert int(sim.overflow.sum()) == 0
-    return np.array(out)
 
 
 def mujoco_drive(arm, seconds: float, target, substeps: int, q=None, **options) -> np.ndarray:
@@ -158,29 +148,6 @@ def test_an_arm_too_weak_sags_as_mujocos():
 
 
 # ---- pushes --------------------------------------------------------------------------------------------------------
-
-
-def pushed_posts(count: int, seed: int = 1):
-    """Return posts beside links 2 to 6 of differently bent arms: (trees, q [count, 6], arm), in the way of joint 1."""
-    rng, arm = np.random.default_rng(seed), free_arm(friction=0.0)
-    link = np.r_[-1, arm.tree.shape_link]
-    radius = np.r_[arm.base_radius, arm.tree.shape_radius.mean(axis=1)]
-    trees, poses = [], []
-    for i in range(count):
-        q, c = STRETCHED + rng.uniform(-0.5, 0.5, 6), (2, 3, 4, 3, 2, 3)[i % 6]
-        start, end = arm_capsules(arm, q)
-        u = (end[c] - start[c]) / np.linalg.norm(end[c] - start[c])
-        middle = start[c] + rng.uniform(0.4, 0.8) * (end[c] - start[c])
-        way = point_jacobian(arm, q, int(link[c]), middle)[:, 0]
-        way -= u * (way @ u)
-        way /= np.linalg.norm(way)
-        lean = np.cross(u, way) * np.cos(0.4) + rng.uniform(-0.3, 0.3) * u
-        lean = lean * np.sign(lean[2]) / np.linalg.norm(lean)
-        at = middle + way * (radius[c] + 0.014) - 0.3 * lean
-        stiffness = (30.0, 100.0, 300.0)[i % 3]
-        trees.append(post(at, direction=lean, stiffness=stiffness, length=0.5, mass=0.1, damping=10.0))
-        poses.append(q)
-    return trees, np.array(poses), arm
 
 
 def test_a_push_settles_at_the_force_of_the_spring():
