@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, get_type_hints
 
+from ..sim.console import warn
 from ..sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from tensordict import TensorDict
 
     from ..sim.posterior_stiffness import Wood
+    from ..sim.wood_effects import WoodEffects
 
 METRICS = ("return", "success", "occlusion_drop", "breach", "steps_clear")
 """What a task says of every finished episode: sum of rewards; 1 or 0; share of the starting occlusion that is gone;
@@ -81,15 +83,15 @@ class TaskRegistry:
         groups: Names of the observation groups, all of which can be left out but not together.
         presets: Settings by the name of a preset, frozen dataclasses with a field ``groups``: names of those left in.
         make: Called with name, settings, num_envs, seed, device and test (all contacts on); returns the task.
-        of_wood: Called with settings and the wood of a measured branch; returns the settings of tasks whose trees are
-            of it. None where tasks have no trees.
+        of_wood: Called with settings, the wood of a measured branch and its effects; returns the settings of tasks
+            whose trees are of it. None where tasks have no trees.
     """
 
     names: tuple[str, ...]
     groups: tuple[str, ...]
     presets: Mapping[str, Any]
     make: Callable[..., Task]
-    of_wood: Callable[[Any, Wood], Any] | None = None
+    of_wood: Callable[[Any, Wood, WoodEffects], Any] | None = None
 
     @property
     def settings(self) -> type:
@@ -118,18 +120,22 @@ class TaskRegistry:
     def of_model(self, settings: Any, model: Path) -> Any:
         """Return settings whose trees are of the wood of a branch's ``model.yaml``, as those of ``bough forest`` are.
 
+        Effects of the branch act in the trees; those of its measurement are left out, and a line of warning names them.
+
         Raises:
-            InputError: The tasks have no trees, or the file is faulty, without sizes, or has effects.
+            InputError: The tasks have no trees, or the file is faulty or without sizes.
         """
+        from ..sim.branch_file import read_branch_file
         from ..sim.posterior_stiffness import SpringPosterior
+        from ..sim.wood_effects import wood_effects
 
         if self.of_wood is None:
             raise InputError("train", "--model", str(model), f"no model: {', '.join(self.names)} without trees")
-        found = SpringPosterior.from_model(model)
-        if found.left_out:
-            allowed = "none: beside an arm springs and dampers act alone; delete the effects to train without them"
-            raise InputError(model, "effects", ", ".join(found.left_out), allowed)
-        return self.of_wood(settings, found.wood())
+        wood = SpringPosterior.from_model(model).wood()
+        effects, left_out = wood_effects(read_branch_file(model))
+        if left_out:
+            warn(f"{model}: left out: {', '.join(left_out)}: of the measurement, not of the branch")
+        return self.of_wood(settings, wood, effects)
 
 
 def builtin_tasks() -> TaskRegistry:

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from ..sim.files import output_folder
 from ..sim.tree import Array
+from ..sim.wood_effects import sentence as effects_sentence
 from .figures import FAINT, MODEL, WIDTH, styled
 from .report import KeyNumber, ReportContent, ReportFigure, number, write_report
 from .run_folder import CONFIG, METRICS_FILE, RunFolder
@@ -132,7 +133,7 @@ def _details(config: dict[str, Any]) -> dict[str, object]:
     return {
         "task": f"{config['task']['name']}, version {config['task']['version']}",
         "observation groups": ", ".join(config["task"]["settings"].get("groups", ())),
-        **_wood(config["task"]["settings"].get("scene", {}).get("wood", ())),
+        **_wood(config["task"]["settings"].get("scene", {})),
         **ppo,
         **{name: config[name] for name in ("seed", "device", "processes", "started")},
         **config["versions"],
@@ -141,7 +142,9 @@ def _details(config: dict[str, Any]) -> dict[str, object]:
     }
 
 
-def _wood(rows: Sequence[Sequence[float]]) -> dict[str, str]:
-    """Return the row on the wood that a run was given, none where it was given none."""
+def _wood(scene: dict[str, Any]) -> dict[str, str]:
+    """Return the rows on the wood that a run was given and on its effects, none where it was given none."""
+    rows, effects = scene.get("wood", ()), scene.get("effects", ())
     said = [f"{1e-9 * young:.3g} GPa, {time:.3g} s at {1e3 * radius:.3g} mm" for radius, young, time in rows]
-    return {"wood (Young's modulus, relaxation time at radius)": "; ".join(said)} if said else {}
+    out = {"wood (Young's modulus, relaxation time at radius)": "; ".join(said)} if said else {}
+    return out | ({"effects": effects_sentence(tuple(map(tuple, effects)))} if effects else {})

@@ -31,6 +31,7 @@ from .rotation import quat_rotate
 from .species import grow_forest
 from .stiffness import hold_rest_pose, rudimentary, toppling_stiffness
 from .tree import Array, IntArray, Joint, Tree
+from .wood_effects import WoodEffects
 
 Range = tuple[float, float]
 
@@ -77,6 +78,7 @@ class SceneSettings:
         upper, lower, decay: Springs as in `stiffness.rudimentary` [N m/rad]; the defaults are its own.
         wood: Wood of a measured branch that gives the springs and dampers instead (`SpringPosterior.wood`); empty for
             none.
+        effects: What else the branches of that wood do (`wood_effects`).
         firm: Level force on the middle of a link above which it counts as too firm to be pushed 0.1 m aside [N]; such
             wood occludes nothing at the start.
         target: The target.
@@ -111,6 +113,7 @@ class SceneSettings:
     lower: float = 5.0
     decay: float = 1.0 / 3.0
     wood: Wood = ()
+    effects: WoodEffects = ()
     firm: float = 20.0
     target: Target = Target()
     distance: Range = (0.50, 0.65)

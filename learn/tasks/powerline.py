@@ -19,6 +19,7 @@ from ...sim.arm_simulator import ArmSimulator, Contacts
 from ...sim.errors import InputError
 from ...sim.jaco2 import jaco2
 from ...sim.scene import Axes, Scene, grow_trees, seed_sequence, share_trees
+from ...sim.wood_effects import give_effects, names_of
 from ..task import METRICS
 from .memory import copies, put_back, simulator_tensors
 from .settings import TaskSettings, columns_of
@@ -95,7 +96,9 @@ class Powerline(VecEnv):
         distinct = grow_trees(s, arm, seed=seed, domain=domain)
         trees, index = share_trees(distinct, self.num_envs)
         contacts = Contacts(line_radius=s.target.radius)
-        self.simulator = ArmSimulator(trees, arm, contacts=contacts, device=self._device)
+        names = names_of(s.effects)
+        self.simulator = ArmSimulator(trees, arm, contacts=contacts, device=self._device, effects=names)
+        give_effects(self.simulator, s.effects)
         self.scene = Scene(self.simulator, distinct, index, s, seed=seed, domain=domain)
         line = self.simulator.line
         target: Any = self.scene.target if s.target.strips > 1 else Axes(line.start, line.end)

@@ -8,6 +8,7 @@ from ...perception.sensor import SensorSettings
 from ...sim.errors import InputError
 from ...sim.posterior_stiffness import Wood
 from ...sim.scene import Range, SceneSettings, Target
+from ...sim.wood_effects import WoodEffects
 
 TARGETS = {
     "powerline": Target(),
@@ -114,9 +115,9 @@ def columns_of(settings: TaskSettings, dofs: int) -> tuple[dict[str, int], int]:
     return out, first
 
 
-def of_wood(settings: TaskSettings, wood: Wood) -> TaskSettings:
-    """Return the settings with trees of the wood of a measured branch."""
-    return replace(settings, scene=replace(settings.scene, wood=wood))
+def of_wood(settings: TaskSettings, wood: Wood, effects: WoodEffects) -> TaskSettings:
+    """Return the settings with trees of the wood of a measured branch, and the effects that it was found to have."""
+    return replace(settings, scene=replace(settings.scene, wood=wood, effects=effects))
 
 
 def check_name(name: str) -> None:

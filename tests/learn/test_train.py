@@ -205,7 +205,7 @@ def test_all_commands_take_the_wood_that_a_run_was_begun_with(tmp_path, tiny):
         seen.append(settings)
         return Reach(settings, **arguments)
 
-    tasks = TaskRegistry(("reach",), ("place", "time"), {"cpu": InForest()}, make, lambda s, w: replace(s, wood=w))
+    tasks = TaskRegistry(("reach",), ("place", "time"), {"cpu": InForest()}, make, lambda s, w, e: replace(s, wood=w))
     model.write_text(MODEL_YAML)
     assert Train("reach", out, num_envs=8, iterations=1, model=model, device="cpu").run(tasks) == 0
     assert Train("reach", out, iterations=2, model=model, resume=True).run(tasks) == 0

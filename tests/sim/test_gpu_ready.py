@@ -18,6 +18,7 @@ from bough.kernels.contact_look import capsule_kernel
 from bough.kernels.contact_step import contact_step_kernel
 from bough.kernels.reset_arm import reset_arm_kernel
 from bough.kernels.rollout import rollout_kernels
+from bough.sim.forest_effects import forest_terms
 from bough.sim.model import Model
 from bough.sim.newton_bridge import to_newton
 from bough.sim.newton_solver import BoughSolver
@@ -101,10 +102,17 @@ def test_kernels_compile_for_a_gpu(kernel, tmp_path):
     assert binary.read_bytes()[:4] == b"\x7fELF"
 
 
+def contact_with_laws(width: int, dof: int):
+    """Return contact's step with a law of every kind."""
+    return contact_step_kernel(width, dof, forest_terms(("plastic_set", "steady_wind", "tip_mass"))[0])
+
+
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp for macOS is built without CUDA")
-@pytest.mark.parametrize("make", [contact_step_kernel, capsule_kernel, lambda _, dof: reset_arm_kernel(dof)])
+@pytest.mark.parametrize(
+    "make", [contact_step_kernel, contact_with_laws, capsule_kernel, lambda _, dof: reset_arm_kernel(dof)]
+)
 def test_kernels_of_the_arm_compile_for_a_gpu(make, tmp_path):
-    """Compile contact's step for sm_90; it computes in float32 only, the substep's length apart."""
+    """Compile contact's step for sm_90; it computes in float32 only, lengths of steps and world's clocks apart."""
     (file,) = wp.compile_aot_module(make(1, 6).module, arch=90, module_dir=tmp_path, use_ptx=True)
     text = file.read_text()
     assert ".target sm_90" in text

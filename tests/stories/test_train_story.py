@@ -40,7 +40,7 @@ def test_bad_commands_are_refused(bough, tmp_path):
 
 
 def test_models_that_no_worlds_can_be_of(bough, tmp_path):
-    """No file, a case of joints, no sizes, wood too stiff to push, effects, which are named; nothing is written."""
+    """No file, a case of joints, no sizes, wood too stiff to push, a faulty effect; nothing is written."""
 
     def refused(*words, model="model.yaml"):
         bough("train", "powerline", *TINY, "--model", model, "--out", "run").refused(*words)
@@ -53,9 +53,29 @@ def test_models_that_no_worlds_can_be_of(bough, tmp_path):
     refused("model.yaml", "no length_m", "bough diagnose")
     write_branch(segments=[s | {"stiffness_Nmprad": 1e4} for s in SEGMENTS])
     refused("firm", "softer")
-    friction = {"name": "dry_friction", "joint": 1, "parameters": {"torque_Nm": 0.21}}
-    write_branch([friction, {"name": "tip_mass", "joint": None, "parameters": {"mass_kg": 0.08}}])
-    refused("model.yaml", "effects", "found dry_friction@1, tip_mass", "springs and dampers")
+    write_branch([{"name": "dry_friction", "joint": 7, "parameters": {"torque_Nm": 0.21}}])
+    refused("model.yaml", "joint", "7")
+
+
+def test_a_run_among_branches_with_effects(bough, tmp_path):
+    """Train and test in trees that have a diagnosed branch's friction and tip mass; a delay is the measurement's."""
+    write_branch([
+        {"name": "dry_friction", "joint": 1, "parameters": {"torque_Nm": 0.21}},
+        {"name": "tip_mass", "joint": None, "parameters": {"mass_kg": 0.08}},
+        {"name": "time_delay", "joint": None, "parameters": {"lag_s": 0.02}},
+    ])  # fmt: skip
+    out = tmp_path / "run"
+    done = bough("train", "powerline", *TINY, "--iterations", 1, "--model", "model.yaml", "--out", out)
+    assert done.code == 0 and "left out: time_delay: of the measurement" in done.err, done.err
+    spring = SEGMENTS[1]["stiffness_Nmprad"]
+    expected = [["tip_mass", "mass_kg", 0.08], ["dry_friction", "torque_Nm", 0.21 / spring]]
+    assert settings(out)["scene"]["effects"] == expected
+    report = (out / "report.html").read_text()
+    assert f"tip_mass (mass_kg 0.08), dry_friction (torque_Nm over its spring {0.21 / spring:.3g})" in report
+    done = bough("evaluate", out, "--sets", 1, "--worlds", 8, "--device", "cpu")
+    assert done.code == 0, done.err
+    done = bough("train", "powerline", "--out", out, "--resume", "--iterations", 2)
+    assert done.code == 0, done.err
 
 
 def test_a_run_in_a_diagnosed_branch_s_wood(bough, tmp_path):
