@@ -12,7 +12,7 @@ from ..kernels.layout import layout_of
 from .arrays import LaneArray
 from .host import num_threads
 from .model import Model
-from .thread_pool import together
+from .thread_pool import Launches, together
 
 _SCRATCH = {
     "pose": "Quat", "r": "Vec", "relative": "Vec", "spin": "Vec", "alpha0": "Vec", "accel0": "Vec", "A": "Sym",
@@ -103,11 +103,10 @@ class Recorded:
         """Take what returns recorded launches (`warp.Launch`) for arrays."""
         self._record = record
         self._given: tuple[wp.array, ...] = ()
-        self._commands: list[Any] = []
+        self._launches = Launches([])
 
     def __call__(self, *given: wp.array) -> None:
         """Launch for these arrays, which are kept until others come."""
         if [a.ptr for a in given] != [a.ptr for a in self._given]:
-            self._given, self._commands = given, self._record(*given)
-        for command in self._commands:
-            command.launch()
+            self._given, self._launches = given, Launches(self._record(*given))
+        self._launches()

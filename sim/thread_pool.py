@@ -1,4 +1,4 @@
-"""Launches on all cores at once: threads that wait for the next ones a while before they sleep."""
+"""Recorded launches: in turn, or on all cores by threads that wait for the next ones a while before they sleep."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from .host import num_threads
 
 #: How long a thread looks for its next launches before it sleeps, and the caller for the others' end [s]. To wake a
 #: thread takes about as long, so that waiting costs at most twice what the better of both choices would.
-PATIENCE = 4.0e-4
+PATIENCE = 5.0e-4
 
 
 class Job:
@@ -30,19 +30,37 @@ class Job:
 
     def __init__(self, commands: Sequence[Any]) -> None:
         """Take launches that were recorded with ``block_dim=1``."""
-        self._commands, self._calls = commands, [_Call(c) for c in commands]
+        self._calls = [_Call(c) for c in commands]
         entries = [len(commands), *(a for call in self._calls for a in call.addresses)]
         self._entries = np.array(entries, np.int64)
         self.address = self._entries.ctypes.data
 
     def launch(self) -> None:
         """Run the launches on this thread."""
-        _one_by_one(self._commands)
+        for call in self._calls:
+            call()
 
 
-def _one_by_one(commands: Sequence[Any]) -> None:
-    for command in commands:
-        command.launch()
+class Launches:
+    """Recorded launches of one device that run one after the other where they are called, inside a graph capture too.
+
+    On a CPU kernels are called with arguments packed once: Warp packs them at every launch, which takes longer than a
+    small kernel runs.
+    """
+
+    def __init__(self, commands: Sequence[Any]) -> None:
+        """Take recorded launches (`warp.Launch`)."""
+        self._commands = commands
+        self._calls = [_Call(c) for c in commands if c.device.is_cpu]
+
+    def __call__(self) -> None:
+        """Launch them."""
+        if self._calls and not self._commands[0].device.is_capturing:
+            for call in self._calls:
+                call()
+        else:
+            for command in self._commands:
+                command.launch()
 
 
 class _Call:
@@ -51,7 +69,7 @@ class _Call:
     def __init__(self, command: Any) -> None:
         if command.block_dim > 1:
             raise ValueError(f"{command.kernel.key}: block_dim {command.block_dim}, where threads take 1")
-        given = command.params[1:]
+        given, self._command = command.params[1:], command  # which keeps the arrays
         self._kernel, self._bounds = command.hooks.forward, command.params[0]
         self._arguments = _structure(tuple(type(v) for v in given))(*given)
 
@@ -79,7 +97,7 @@ def together(parts: Sequence[Sequence[Any]]) -> Callable[[], None]:
     Threads take launches on a CPU, outside a graph capture; a list alone may be of any device.
     """
     if len(parts) == 1:
-        return partial(_one_by_one, parts[0])
+        return Launches(parts[0])
     jobs = [Job(part) for part in parts]
     return lambda: run(jobs)
 

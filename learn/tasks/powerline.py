@@ -19,6 +19,7 @@ from ...sim.arm_simulator import ArmSimulator, Contacts
 from ...sim.errors import InputError
 from ...sim.jaco2 import jaco2
 from ...sim.scene import Axes, Scene, grow_trees, seed_sequence, share_trees
+from ...sim.thread_pool import Launches
 from ...sim.wood_effects import give_effects, names_of
 from ..task import METRICS
 from .memory import copies, put_back, simulator_tensors
@@ -86,7 +87,7 @@ class Powerline(VecEnv):
         self._allocate()
         self.simulator.line_mask.fill_(int(test))
         self._graph: Callable[[], None] | None = None
-        self._recorded: dict[Any, Any] = {}
+        self._recorded: dict[Any, Launches] = {}
         self._begin()
 
     # ---- memory --------------------------------------------------------------------------------------------------
@@ -176,10 +177,10 @@ class Powerline(VecEnv):
     def _launch(self, kernel: Any, *inputs: Any) -> None:
         """Launch a kernel, one thread a world; what it is given never changes, so the launch is recorded once."""
         if kernel not in self._recorded:
-            self._recorded[kernel] = wp.launch(
-                kernel, dim=self.num_envs, inputs=list(inputs), device=self._device, record_cmd=True
+            self._recorded[kernel] = Launches(
+                [wp.launch(kernel, dim=self.num_envs, inputs=list(inputs), device=self._device, record_cmd=True)]
             )
-        self._recorded[kernel].launch()
+        self._recorded[kernel]()
 
     def _begin(self) -> None:
         """Start the first episode of every world.

@@ -1,5 +1,6 @@
 """Launches on several threads: what they write, who may call, what happens when nobody calls for a while."""
 
+import gc
 import os
 import threading
 import time
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from bough.sim import thread_pool
-from bough.sim.thread_pool import PATIENCE, Job, together
+from bough.sim.thread_pool import PATIENCE, Job, Launches, together
 
 
 @wp.kernel(module="unique")
@@ -94,6 +95,29 @@ def test_callers_at_the_same_time():
         t.join()
     for _, arrays in made:
         assert [a.numpy()[0] for a in arrays] == [20_000, 40_000]
+
+
+def test_arrays_live_as_long_as_their_launches():
+    """Write into arrays that nobody else keeps."""
+    run, lists = together(parts_of(2, launches=8)[0]), Launches(parts_of(1, launches=8)[0][0])
+    gc.collect()
+    spoilt = [wp.full(3, 7, dtype=int, device="cpu") for _ in range(50)]  # memory that was given back would be theirs
+    for _ in range(20):
+        run()
+        lists()
+    assert all((a.numpy() == 7).all() for a in spoilt)
+
+
+def test_launches_in_turn_are_recorded_by_a_graph():
+    """Run at once outside a capture; inside one, be replayed with it."""
+    parts, arrays = parts_of(1, launches=3)
+    launches = Launches(parts[0])
+    launches()
+    with wp.ScopedCapture(device="cpu") as scope:
+        launches()
+    before = int(arrays[0].numpy()[0])
+    wp.capture_launch(scope.graph)
+    assert int(arrays[0].numpy()[0]) == before + 3 and before >= 3
 
 
 def test_idle_threads_sleep():
