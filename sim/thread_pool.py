@@ -129,7 +129,8 @@ class _Pool:
         self._turns = self._looks()
         self._leads = [self._record(lead, n, self._own) for n in range(threads + 1)]
         for row in range(threads):
-            threading.Thread(target=self._work, args=(row,), name=f"bough {row}", daemon=True).start()
+            given = (row, self._record(follow, row))
+            threading.Thread(target=self._work, args=given, name=f"bough {row}", daemon=True).start()
 
     def _record(self, kernel: Any, rows: int, *more: Any) -> _Call:
         inputs = [self._array, rows, *more, self._turns]
@@ -143,11 +144,11 @@ class _Pool:
         wait()
         return max(1, int(self._turns * PATIENCE / (time.perf_counter() - begun)))
 
-    def _work(self, row: int) -> None:
+    def _work(self, row: int, wait_and_run: _Call) -> None:
         """Follow a row for ever."""
-        wait, words = self._record(follow, row), self._words[row]
+        words = self._words[row]
         while True:
-            wait()
+            wait_and_run()
             with self._awake[row]:
                 self._asleep[row] = True
                 while words[POSTED] == words[DONE]:
@@ -171,6 +172,7 @@ class _Pool:
     def _post(self, row: int, job: Job) -> None:
         with self._awake[row]:
             self._words[row, JOB] = job.address
+        with self._awake[row]:  # the lock between both keeps their order on processors that may change it
             self._words[row, POSTED] += 1
             if self._asleep[row]:
                 self._awake[row].notify()
