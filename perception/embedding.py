@@ -138,7 +138,7 @@ def _cloud(name: str, points: torch.Tensor) -> tuple[torch.Tensor, Any]:
 
 
 def _marks(name: str, mask: torch.Tensor | None, points: torch.Tensor, device: Any) -> Any:
-    """Mask [batch, N] as Warp takes it; a dummy for None."""
+    """Mask [batch, N] as Warp takes it; one that is not read for None."""
     if mask is None:
         return _no_mask(str(device))
     if mask.shape != points.shape[:-1]:

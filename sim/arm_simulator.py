@@ -154,8 +154,6 @@ class ArmSimulator(Simulator):
         self._arm = ArmArrays(arm, worlds, model.gravity, model.device)
         self._touch = TouchArrays(model, self._launcher, arm, self.contacts.capacity)
         self._set_rule()
-        types = term_types(model.width, model.precision)
-        self._no_load, self._no_effects = types.Load(), types.Terms()  # a step without effects reads neither
         for name in ("q", "qd", "torque", "target", "end_position", "end_rotation"):
             setattr(self, name, getattr(self._arm, name))
         self.arm_force = self._arm.force
@@ -242,7 +240,9 @@ class ArmSimulator(Simulator):
 
     def _prepare_step(self, count: int, *, split: bool) -> Callable[[], None]:
         kernel = contact_step_kernel(self.model.width, self.arm.num_dofs, self.effects.terms)
-        laws = [self.load.kernel, self.effects.kernel] if self.effects else [self._no_load, self._no_effects]
+        types = term_types(self.model.width, self.model.precision)
+        # a step without effects reads neither
+        laws = [self.load.kernel, self.effects.kernel] if self.effects else [types.Load(), types.Terms()]
         before = [self._dynamics, self.state.kernel, *self._arm.kernel, *self._touch.kernel, *laws, self._slot_world]
         after = [count * self.substeps, self.dt / self.substeps, self.max_speed]
         return self._launcher.prepare(kernel, before, after, split=split)

@@ -21,26 +21,6 @@ from .host import num_threads
 PATIENCE = 5.0e-4
 
 
-class Job:
-    """Recorded launches on a CPU that one thread runs in their order.
-
-    Attributes:
-        address: Of what `kernels.thread_pool` runs; valid as long as this lives.
-    """
-
-    def __init__(self, commands: Sequence[Any]) -> None:
-        """Take launches that were recorded with ``block_dim=1``."""
-        self._calls = [_Call(c) for c in commands]
-        entries = [len(commands), *(a for call in self._calls for a in call.addresses)]
-        self._entries = np.array(entries, np.int64)
-        self.address = self._entries.ctypes.data
-
-    def launch(self) -> None:
-        """Run the launches on this thread."""
-        for call in self._calls:
-            call()
-
-
 class Launches:
     """Recorded launches of one device that run one after the other where they are called, inside a graph capture too.
 
@@ -61,6 +41,21 @@ class Launches:
         else:
             for command in self._commands:
                 command.launch()
+
+
+class Job(Launches):
+    """Recorded launches on a CPU that one thread runs in their order.
+
+    Attributes:
+        address: Of what `kernels.thread_pool` runs; valid as long as this lives.
+    """
+
+    def __init__(self, commands: Sequence[Any]) -> None:
+        """Take launches that were recorded with ``block_dim=1``."""
+        super().__init__(commands)
+        entries = [len(commands), *(a for call in self._calls for a in call.addresses)]
+        self._entries = np.array(entries, np.int64)
+        self.address = self._entries.ctypes.data
 
 
 class _Call:
@@ -158,7 +153,7 @@ class _Pool:
     def run(self, jobs: Sequence[Job]) -> None:
         if len(jobs) > len(self._awake) + 1 or not self._busy.acquire(blocking=False):
             for job in jobs:
-                job.launch()
+                job()
             return
         try:
             self._first[0] = jobs[0].address

@@ -11,6 +11,7 @@ from bough.sim.arm_arrays import arm_capsules
 from bough.sim.arm_simulator import ArmSimulator, Contacts
 from bough.sim.jaco2 import jaco2
 from bough.sim.tree import Joint, Tree, capsule_inertia
+from scipy.spatial.transform import Rotation
 
 DT = 1.0 / 240.0
 #: The arm stretched out: upper arm and forearm in one line that rises at 20 degrees, over the negative x axis.
@@ -155,6 +156,16 @@ def pushed_posts(count: int, seed: int = 1):
         trees.append(post(at, direction=lean, stiffness=stiffness, length=0.5, mass=0.1, damping=10.0))
         poses.append(q)
     return trees, np.array(poses), arm
+
+
+def pushes(sim: ArmSimulator, trees: list[Tree]):
+    """Yield world, contacts, turn and contact moment about the joint (world axes) of every post that is touched."""
+    for w, tree in enumerate(trees):
+        found = [c for c in contacts_of(sim, w) if c["force"].any()]
+        if found:
+            frame = Rotation.from_quat(np.roll(tree.rotation[0], -1))
+            turn = frame.apply(Rotation.from_quat(np.roll(sim.state.qpos()[w], -1)).as_rotvec())
+            yield w, found, turn, sum(np.cross(c["point"] - tree.position[0], c["force"]) for c in found)
 
 
 def roughness(force: np.ndarray, found: list[np.ndarray]) -> tuple[float, float, int]:

@@ -7,7 +7,7 @@ from bough.learn.tasks.memory import simulator_tensors
 from bough.sim.errors import InputError
 from bough.sim.model import Model
 from bough.sim.simulator import Simulator
-from oracles.contact_case import STRETCHED, contacts_of, drive, pushed_posts, simulator, ternary
+from oracles.contact_case import STRETCHED, contacts_of, drive, pushed_posts, pushes, simulator, ternary
 from scipy.spatial.transform import Rotation
 
 LAWS = {
@@ -68,14 +68,9 @@ def test_a_push_settles_at_the_force_of_the_cubic_spring():
     sim.effects["cubic_stiffness"]["cubic_radm2"].fill_(20.0)
     drive(sim, 14.0, lambda t: [0.15, 0, 0, 0, 0, 0])
     pushed, stiffened = 0, 0
-    for w, tree in enumerate(trees):
-        found = [c for c in contacts_of(sim, w) if c["force"].any()]
-        pushed += bool(found)
-        if not found:
-            continue
-        frame = Rotation.from_quat(np.roll(tree.rotation[0], -1))
-        turn = frame.apply(Rotation.from_quat(np.roll(sim.state.qpos()[w], -1)).as_rotvec())
-        moment = sum(np.cross(c["point"] - tree.position[0], c["force"]) for c in found)
+    for w, _, turn, moment in pushes(sim, trees):
+        tree = trees[w]
+        pushed += 1
         spring = tree.stiffness[0] * (1.0 + 20.0 * turn @ turn) * turn
         assert np.linalg.norm(moment - spring) < 0.02 * np.linalg.norm(moment)
         stiffened += 20.0 * turn @ turn > 0.1

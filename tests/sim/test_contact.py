@@ -21,12 +21,12 @@ from oracles.contact_case import (
     point_jacobian,
     post,
     pushed_posts,
+    pushes,
     roughness,
     simulator,
     slider,
     ternary,
 )
-from scipy.spatial.transform import Rotation
 
 #: A branch that nothing reaches.
 FAR = post((50.0, 0.0, 1.0))
@@ -160,14 +160,9 @@ def test_a_push_settles_at_the_force_of_the_spring():
     sim = simulator(trees, arm, q=q, gravity=(0.0, 0.0, 0.0))
     drive(sim, 14.0, lambda t: [0.15, 0, 0, 0, 0, 0])
     pushed = 0
-    for w, tree in enumerate(trees):
-        found = [c for c in contacts_of(sim, w) if c["force"].any()]
-        pushed += bool(found)
-        if not found:
-            continue
-        frame = Rotation.from_quat(np.roll(tree.rotation[0], -1))
-        turn = frame.apply(Rotation.from_quat(np.roll(sim.state.qpos()[w], -1)).as_rotvec())
-        moment = sum(np.cross(c["point"] - tree.position[0], c["force"]) for c in found)
+    for w, found, turn, moment in pushes(sim, trees):
+        tree = trees[w]
+        pushed += 1
         assert np.linalg.norm(moment) > 1.0
         assert np.linalg.norm(moment - tree.stiffness[0] * turn) < 0.02 * np.linalg.norm(moment)
         now = sim.q[w].numpy().astype(float)
