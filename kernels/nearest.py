@@ -70,16 +70,31 @@ def count_chunk(w: int, a: int, j: int, b: int, other: int, limit: float, lanes:
 
 
 @wp.func
-def count_lanes(w: int, a: int, b: int, limit: float, most: int, lanes: int, c: Any):
-    """Count pairs with d2 < limit up to ``most``, chunk by chunk, those apart left out."""
+def count_group(w: int, a: int, j: int, b: int, g: int, limit: float, most: int, lanes: int, c: Any):
+    """Count pairs with d2 < limit of chunk j of cloud a and group g of cloud b until ``most`` are reached."""
     count = wp.int32(0)
-    for j in range(c.point.shape[3]):
-        for g in range(c.box.shape[3]):
-            miss = box_gap(w, a, j, b, g, c) - limit
+    miss = box_gap(w, a, j, b, g, c) - limit
+    if any_neg(miss):
+        for i in range(lanes):
+            if count < most and lane_neg(miss, i):
+                count = count + count_chunk(w, a, j, b, g * lanes + i, limit, lanes, c)
+    return count
+
+
+@wp.func
+def count_lanes(w: int, a: int, b: int, limit: float, most: int, lanes: int, c: Any):
+    """Count pairs with d2 < limit up to ``most``, chunk by chunk; groups of chunks apart are left out together."""
+    count = wp.int32(0)
+    chunks = c.point.shape[3]
+    groups = (chunks + lanes - 1) // lanes
+    for j in range(chunks):
+        for h in range(groups, c.box.shape[3]):
+            miss = box_gap(w, a, j, b, h, c) - limit
             if any_neg(miss):
                 for i in range(lanes):
                     if lane_neg(miss, i):
-                        count = count + count_chunk(w, a, j, b, g * lanes + i, limit, lanes, c)
+                        g = (h - groups) * lanes + i
+                        count = count + count_group(w, a, j, b, g, limit, most - count, lanes, c)
                         if count >= most:
                             return most
     return count
@@ -193,25 +208,38 @@ def closest_points(w: int, b: int, place: wp.vec3, limit: float, t: int, team: i
 
 
 @wp.func
+def closest_in_group(w: int, a: int, j: int, b: int, g: int, best: Few, lanes: int, c: Any):
+    """Insert the squared distances between points of chunk j of cloud a and of group g of cloud b."""
+    out = best
+    gap = box_gap(w, a, j, b, g, c)
+    if any_neg(gap - out[4]):
+        for i in range(lanes):
+            if lane(gap, i) < out[4]:
+                for p in range(j * lanes, (j + 1) * lanes):
+                    x = c.flat[w, a, 0, p]
+                    y = c.flat[w, a, 1, p]
+                    z = c.flat[w, a, 2, p]
+                    out = keep_chunk(w, b, g * lanes + i, x, y, z, out, lanes, c)
+    return out
+
+
+@wp.func
 def closest_pairs_lanes(w: int, a: int, b: int, limit: float, lanes: int, c: Any):
-    """Squared distances below ``limit`` of the closest pairs, chunk by chunk, those apart left out.
+    """Squared distances below ``limit`` of the closest pairs, chunk by chunk; groups of chunks apart are left out.
 
     Chunks of cloud a are taken from the last, the hand's: the sooner close pairs are found the more is left out.
     """
     best = Few(limit)
     chunks = c.point.shape[3]
+    groups = (chunks + lanes - 1) // lanes
     for back in range(chunks):
         j = chunks - 1 - back
-        for g in range(c.box.shape[3]):
-            gap = box_gap(w, a, j, b, g, c)
+        for h in range(groups, c.box.shape[3]):
+            gap = box_gap(w, a, j, b, h, c)
             if any_neg(gap - best[4]):
                 for i in range(lanes):
                     if lane(gap, i) < best[4]:
-                        for p in range(j * lanes, (j + 1) * lanes):
-                            x = c.flat[w, a, 0, p]
-                            y = c.flat[w, a, 1, p]
-                            z = c.flat[w, a, 2, p]
-                            best = keep_chunk(w, b, g * lanes + i, x, y, z, best, lanes, c)
+                        best = closest_in_group(w, a, j, b, (h - groups) * lanes + i, best, lanes, c)
     return best
 
 

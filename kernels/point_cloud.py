@@ -68,8 +68,8 @@ def cloud_types(width: int = 1) -> SimpleNamespace:
 
     ``point`` [worlds, clouds, 3, chunks] in m and ``flat`` [worlds, clouds, 3, points] are one memory; ``near``
     [worlds, chunks] is 1 for branch points near the target; ``bound`` and ``box`` (one memory) hold the least and the
-    greatest coordinates of chunks [worlds, clouds, 6, ...]; ``present`` [worlds, clouds] is 0 for a cloud
-    without points.
+    greatest coordinates of chunks [worlds, clouds, 6, ...], whole lanes of them, and then those of the groups of
+    ``width`` chunks; ``present`` [worlds, clouds] is 0 for a cloud without points.
     """
     Real = real_type(width)
 
@@ -223,28 +223,50 @@ def normal_pair(key: wp.uint32, n: int, sigma: float, like: Any):
 
 
 @wp.func
-def add_noise(w: int, k: int, sigma: float, key: wp.uint32, lanes: int, c: Any):
-    """Move every coordinate of every point by Gaussian noise of deviation sigma [m]."""
-    chunks = c.point.shape[3]
-    xy = (k * STREAMS + NOISE_XY) * chunks * lanes
-    z = (k * STREAMS + NOISE_Z) * chunks * lanes
-    for j in range(chunks):
-        x = c.point[w, k, 0, j]
-        east, north = normal_pair(key, xy + j * lanes, sigma, x)
-        up, _ = normal_pair(key, z + j * lanes, sigma, x)
-        c.point[w, k, 0, j] = x + east
-        c.point[w, k, 1, j] = c.point[w, k, 1, j] + north
-        c.point[w, k, 2, j] = c.point[w, k, 2, j] + up
+def shift(w: int, k: int, m: int, j: int, amount: Any, c: Any):
+    """Move coordinate m of the points of chunk j."""
+    c.point[w, k, m, j] = c.point[w, k, m, j] + amount
 
 
 @wp.func
-def bound_chunks(w: int, k: int, c: Any):
-    """Note the least and the greatest coordinates of every chunk."""
-    for j in range(c.point.shape[3]):
+def add_noise(w: int, k: int, sigma: float, key: wp.uint32, lanes: int, c: Any):
+    """Move every coordinate of every point by Gaussian noise of deviation sigma [m].
+
+    Three pairs of normal numbers serve two points, one of each half of the cloud; a half is whole chunks of 16.
+    """
+    chunks = c.point.shape[3]
+    half = 16 * ((chunks * lanes + 31) // 32) // lanes
+    xy = (k * STREAMS + NOISE_XY) * chunks * lanes
+    z = (k * STREAMS + NOISE_Z) * chunks * lanes
+    zero = real(0.0, c.point[w, k, 0, 0])
+    for j in range(half):
+        other = j + half
+        up, up_other = normal_pair(key, z + j * lanes, sigma, zero)
+        east, north = normal_pair(key, xy + j * lanes, sigma, zero)
+        shift(w, k, 0, j, east, c)
+        shift(w, k, 1, j, north, c)
+        shift(w, k, 2, j, up, c)
+        if other < chunks:
+            east, north = normal_pair(key, xy + other * lanes, sigma, zero)
+            shift(w, k, 0, other, east, c)
+            shift(w, k, 1, other, north, c)
+            shift(w, k, 2, other, up_other, c)
+
+
+@wp.func
+def bound_chunks(w: int, k: int, lanes: int, c: Any):
+    """Note the least and the greatest coordinates of every chunk, and after them of every ``lanes`` chunks."""
+    chunks = c.point.shape[3]
+    groups = (chunks + lanes - 1) // lanes
+    for j in range(chunks):
         for m in range(3):
             p = c.point[w, k, m, j]
             c.bound[w, k, m, j] = least(p)
             c.bound[w, k, 3 + m, j] = greatest(p)
+    for g in range(groups):
+        for m in range(3):
+            c.bound[w, k, m, groups * lanes + g] = least(c.box[w, k, m, g])
+            c.bound[w, k, 3 + m, groups * lanes + g] = greatest(c.box[w, k, 3 + m, g])
 
 
 @wp.func
@@ -305,6 +327,6 @@ def sample_kernel(width: int = 1) -> Any:
         if k == BRANCHES:
             mark_near(w, k, target_in, zoom, c_out)
         if wp.static(W > 1):
-            bound_chunks(w, k, c_out)
+            bound_chunks(w, k, W, c_out)
 
     return sample

@@ -158,10 +158,11 @@ class Sensor:
         """Clouds lie [world, cloud, axis, point] on a CPU, worlds innermost on a GPU (neighbouring threads)."""
         n, count, width = self.num_worlds, self.settings.points, self.width
         groups = -(-(count // width) // width)
+        bounds = (groups + -(-groups // width)) * width  # of chunks, then of groups of chunks, in whole lanes
         self._memory = {
             "flat": self._zeros((n, NUM_CLOUDS, 3, count)),
             "near": self._zeros((n, count)),
-            "bound": self._zeros((n, NUM_CLOUDS, 6, groups * width) if width > 1 else (1, 1, 1, 1)),
+            "bound": self._zeros((n, NUM_CLOUDS, 6, bounds) if width > 1 else (1, 1, 1, 1)),
             "present": wp.zeros((n, NUM_CLOUDS), dtype=int, device=self.device),
         }
         bound = wp.to_torch(self._memory["bound"])

@@ -180,6 +180,9 @@ def test_noise_is_gaussian():
         assert stats.kstest(e.ravel(), stats.norm.cdf).pvalue > 1e-4
         correlation = np.corrcoef(e.reshape(9, -1)) - np.eye(9)
         assert np.abs(correlation).max() < 4.5 / np.sqrt(e.shape[-1])
+        # a point and its partner in the other half share draws
+        halves = e.reshape(3, 3, 6, 2, -1).transpose(0, 1, 3, 2, 4).reshape(18, -1)
+        assert np.abs(np.corrcoef(halves) - np.eye(18)).max() < 4.5 / np.sqrt(halves.shape[-1])
 
 
 # ---- draws -------------------------------------------------------------------------------------------------------
@@ -238,11 +241,12 @@ def test_threads_do_not_change_bits(threads):
     assert all(map(torch.equal, *results))
 
 
-def test_widths_agree():
+@pytest.mark.parametrize("points", [16, 48, 512])
+def test_widths_agree(points):
     """Draw with 1, 8 and 16 lanes: points differ by rounding of running sums only, scores by what these move."""
     results = []
     for width in WIDTHS:
-        sensor, observation = make(point_scene(9), noise=0.02, width=width)
+        sensor, observation = make(point_scene(9), noise=0.02, width=width, points=points)
         sensor.update()
         results.append((sensor.points.clone(), observation[:, 16:80].clone(), sensor.distances))
     for other in results[1:]:
@@ -262,11 +266,13 @@ def near_scene(worlds):
     return scene
 
 
+@pytest.mark.parametrize("points", [512, 1040])  # 1040 fill neither groups of chunks nor groups of groups
 @pytest.mark.parametrize("width", WIDTHS)
-def test_outputs_equal_brute_force(width):
+def test_outputs_equal_brute_force(width, points):
     """Recompute everything from the clouds: embeddings in float64, pairs and distances by looking at them all."""
     scene = near_scene(8)
-    sensor, observation = make(scene, noise=0.01, width=width, threshold=0.035)
+    threshold = 0.035 if points == 512 else 0.02
+    sensor, observation = make(scene, noise=0.01, width=width, threshold=threshold, points=points)
     sensor.update()
     robot, target, branches = (cloud(sensor, k) for k in range(3))
     waves = sensor.frequencies.numpy()
@@ -277,7 +283,7 @@ def test_outputs_equal_brute_force(width):
     for name, value in expected.items():
         columns = observation[:, COLUMNS[name] : COLUMNS[name] + 16]
         np.testing.assert_allclose(columns, value, rtol=0, atol=2e-6, err_msg=name)
-    score = [top_pairs_score(squared_distances(b, t), 200, 0.035) for b, t in zip(branches, target, strict=True)]
+    score = [top_pairs_score(squared_distances(b, t), 200, threshold) for b, t in zip(branches, target, strict=True)]
     np.testing.assert_array_equal(sensor.occlusion, np.array(score, np.float32))
     assert sum(0 < s < 1 for s in score) > 2
     hand = squared_distances(scene.ee.numpy()[:, None], branches)[:, 0]
