@@ -40,19 +40,49 @@ def hat(x: Any):
 
 
 @wp.func
-def shifted(input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, c: int, share: wp.float64, lag: Any):
-    """What a shift of the recording by ``lag`` samples adds to its value ``share`` of a sample after sample k."""
+def opening(input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, closed: int):
+    """Samples from k until the gripper next opens, by column ``closed`` (1 or 0); beyond what a shift can reach: never."""
+    if closed < 0:
+        return 3 * DELAY
+    for d in range(1, 2 * DELAY + 2):
+        if sample(input_in, j, k + d, n, closed) == wp.float64(0.0):
+            if sample(input_in, j, k + d - 1, n, closed) > wp.float64(0.0):
+                return int(d)
+    return 3 * DELAY
+
+
+@wp.func
+def shifted(
+    input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, c: int, closed: int, share: wp.float64, lag: Any
+):
+    """What a shift of the recording by ``lag`` samples adds to its value ``share`` of a sample after sample k.
+
+    A force that ends as the gripper opens falls to zero within a sample. A recorded value that lies f of a sample
+    inside this fall is 1 - f of the force, so f of the one before is added; one after it is not used. What is
+    linear between the samples after a shift is no more what it was, and a release is the largest change of all.
+    """
+    o = real(0.0, lag)
+    one = real(1.0, lag)
     here = real(share, lag)
     most = real(float(DELAY), lag)
     late = where_neg(most - lag, most, lag)
-    late = where_neg(late + most, real(0.0, lag) - most, late)
-    moved = real(0.0, lag)
+    late = where_neg(late + most, o - most, late)
+    ends = opening(input_in, j, k, n, closed)
+    falling = wp.where(ends == 1, 1, 0)
+    looked = here * real(float(1 - falling), lag) + late
+    moved = o
+    left = o
+    last = real(sample(input_in, j, k - DELAY, n, c), lag)
     for step in range(2 * DELAY + 2):
         d = step - DELAY
         value = real(sample(input_in, j, k + d, n, c), lag)
-        x = here - real(float(d), lag)
-        moved = fma(value, hat(x + late) - hat(x), moved)
-    return moved
+        inside = real(float(d + 1 - ends), lag) - late
+        inside = where_neg(inside, o, inside)
+        part = where_neg(inside - one, inside, one)
+        last = fma(part, last, where_neg(inside - one, value, o))
+        moved = fma(last, hat(looked - real(float(d), lag)), moved)
+        left = fma(value, hat(here - real(float(d), lag)), left)
+    return moved * (one - here * real(float(falling), lag)) - left
 
 
 @wp.func
@@ -155,7 +185,7 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
 
     def drawn(
         input_in: wp.array3d(dtype=wp.float64), e: int, fx: Any, j: int, k: int, after: int, n: int, c: int, step: int,
-        substeps: int, hold: int, rate: wp.float64, sensed: int, like: Any,
+        substeps: int, hold: int, rate: wp.float64, sensed: int, closed: int, like: Any,
     ):  # fmt: skip
         """Recorded value in the middle of a step; shifted by the lag of the sensor, it is in column ``sensed``."""
         a = input_in[j, k, c]
@@ -166,7 +196,7 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                 lag = fx.parameter[e, delay_slot * fx.stride] * real(rate, like)
                 a = input_in[j, k, sensed]
                 value = real(a + (input_in[j, after, sensed] - a) * (wp.float64(hold) * share), like)
-                value = value + shifted(input_in, j, k, n, sensed, share, lag)
+                value = value + shifted(input_in, j, k, n, sensed, closed, share, lag)
         return value
 
     drawn = wp.func(drawn, name=f"drawn_{key}")
@@ -263,13 +293,13 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                 if k < n - 1:
                     for step in range(substeps):
                         recorded = Vec(
-                            drawn(input_in, e, fx, j, k, k + 1, n, 0, step, substeps, 1, rate, 4, o),
-                            drawn(input_in, e, fx, j, k, k + 1, n, 1, step, substeps, 1, rate, 5, o),
-                            drawn(input_in, e, fx, j, k, k + 1, n, 2, step, substeps, 1, rate, 6, o),
+                            drawn(input_in, e, fx, j, k, k + 1, n, 0, step, substeps, 1, rate, 4, 3, o),
+                            drawn(input_in, e, fx, j, k, k + 1, n, 1, step, substeps, 1, rate, 5, 3, o),
+                            drawn(input_in, e, fx, j, k, k + 1, n, 2, step, substeps, 1, rate, 6, 3, o),
                         )
                         held = real(wp.min(input_in[j, k, 3] + input_in[j, k + 1, 3], wp.float64(1.0)), o)
                         recorded = recorded * held  # a late sensor still feels what an open gripper does not
-                        contact = drawn(input_in, e, fx, j, k, k + 1, n, 3, step, substeps, 1, rate, 7, o) * held
+                        contact = drawn(input_in, e, fx, j, k, k + 1, n, 3, step, substeps, 1, rate, 7, 3, o) * held
                         gravity = zero - s_out.accel0[r, 0]
                         now = ForceState(recorded, contact, s_out.pose[r, place], calm, gravity)
                         acting = force_law(e, 0, fx, now)
@@ -327,7 +357,7 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
             for step in range(substeps):
                 for d in range(driven.shape[0]):
                     i = driven[d]
-                    recorded = drawn(input_in, e, fx, j, k, after, n, d, step, substeps, hold, rate, d, o)
+                    recorded = drawn(input_in, e, fx, j, k, after, n, d, step, substeps, hold, rate, d, -1, o)
                     pose = s_out.pose[r, i]
                     now = ForceState(Vec(recorded, o, o), real(1.0, o), pose, pose, zero)
                     effort = u_out.effort[e, i]

@@ -8,7 +8,7 @@ from ...kernels.algebra import add, div, dot, mul, sub
 from ...kernels.real import fma, real, sqrt_, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
-#: Angle (or way) over which asperities bend before they slip [rad or m].
+#: Least angle (or way) over which asperities bend before they slip [rad or m].
 BEND = wp.constant(wp.float64(5.0e-4))
 
 
@@ -21,7 +21,8 @@ def dry_friction(j: Any, p: Any, r: Any):
     """
     o = real(0.0, p.a)
     one = real(1.0, o)
-    y = real(BEND, o)
+    least = real(BEND, o)
+    y = where_neg(p.b - least, least, p.b)
     turn = j.rate * j.step
     z = r.memory + turn
     far = sqrt_(fma(dot(z, z), one, real(1.0e-20, o)))
@@ -33,22 +34,19 @@ def dry_friction(j: Any, p: Any, r: Any):
     return type(r)(z * (o - k), z, o, k * j.step)
 
 
-_LAW = Law(
-    "joint",
-    (EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log"),),
-    dry_friction,
-    memory=1,
-)
+_TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")
+_BEND = EffectParameter("bend_rad", "rad", 0.0, lambda s: 0.03 * s.angle, tries=1)
 
 EFFECT = register(
     Effect(
         name="dry_friction",
-        summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends 0.5 mrad first)",
+        summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first, 0.5 mrad"
+        " at least)",
         source="Coulomb 1785; elastic before it slips as in Dahl 1968, Aerospace TOR-158",
         signature="oscillations decay in a straight line and stop off centre; loops keep their width however slow",
         mistaken_for=("hysteresis_boucwen", "plastic_set", "quadratic_drag"),
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
-        branch=_LAW,
-        joint=_LAW,
+        branch=Law("joint", (_TORQUE, _BEND), dry_friction, memory=1),
+        joint=Law("joint", (_TORQUE,), dry_friction, memory=1),
     )
 )

@@ -186,6 +186,26 @@ def test_time_delay_shifts_by_samples(tmp_path):
     assert np.abs(moved - wanted).max() < 2e-3 * np.abs(wanted).max()  # corners fall between the samples
 
 
+@pytest.mark.parametrize("samples", [0.5, 1.0, 2.3, -0.7])
+def test_a_late_sensor_does_not_blur_a_release(tmp_path, samples):
+    """Hold a branch and let go, the force recorded late: it moves as if recorded in time.
+
+    A shift that is linear between samples would spread the fall of the force over two of them.
+    """
+    dt, t = 0.04, 0.04 * np.arange(60)
+    force = FORCE * np.interp(t, [0.2, 0.6, 1.2, 1.24], [0, 1, 1, 0])[:, None]
+    lag = samples * dt
+    late = np.stack([np.interp(t - lag, t, force[:, k]) for k in range(3)], 1)
+    opened = [(0.0, 0.16), (1.24, 2.36)]
+    runs = [stick_case(tmp_path / name, [f], dt=dt, opened=opened) for name, f in (("a", force), ("b", late))]
+    wanted = stick(runs[0])[0]
+    out = stick(runs[1], time_delay={"lag_s": lag})[0]
+    np.testing.assert_allclose(out, wanted, atol=0.02 * np.abs(wanted).max())  # corners of the rise
+    after, most = t > 1.2, np.abs(wanted).max()
+    np.testing.assert_allclose(out[after], wanted[after], atol=2e-3 * most)
+    assert np.abs(stick(runs[1])[0] - wanted).max() > 0.02 * most
+
+
 def test_force_bias_and_scale_undo_the_sensor(tmp_path):
     """Read 1.3 times the torque and 0.7 more: take both off again."""
     true = swing_case(tmp_path / "a", [(0.0, 0.0)], torque=pulse)
@@ -420,12 +440,14 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
     case = stick_case(tmp_path / "c", [held(60), held(60, -FORCE)])
     at_joint, elsewhere = ("hysteresis_boucwen", "plastic_set"), ("wind_gust", "steady_wind", "time_delay", "tip_mass")
     acting = (*(Acting(n, 0) for n in at_joint), *(Acting(n) for n in elsewhere))
-    values = torch.tensor([[KS, DS, 0.3, 0.05, 0.4, 0.05, 0.5, 0.3, 20, 30, -20, 5, 0.9, 10, 5, -5, 0.01, 0.02]])
+    values = torch.tensor(
+        [[KS, DS, 0.3, 0.05, 1.4, 0.3, 0.4, 0.05, 0.5, 0.3, 20, 30, -20, 5, 0.9, 10, 5, -5, 0.01, 0.02]]
+    )
     outs = []
     for width in (1, 8):
         monkeypatch.setattr("bough.learn.rollout.simd_width", lambda w=width: w)
         rollout = Rollout(case, recordings(case), 2, unknowns=Unknowns(effects=acting))
         order = [p.name for p in rollout.plant.parameters]
-        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 18
+        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 20
         outs.append(rollout(values.repeat(2, 1)).clone())
     assert (outs[0] == outs[1]).all() and torch.isfinite(outs[0]).all()

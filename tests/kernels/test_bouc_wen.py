@@ -1,0 +1,89 @@
+"""Bouc and Wen's slider: turned along given paths beside closed forms, about one axis and in space."""
+
+import numpy as np
+import pytest
+import warp as wp
+from bough.kernels.effects import effect_types
+from bough.sim.effects import effect_of
+
+T = effect_types(1, 32)
+JointState, Response, Parameters, Vec = T.JointState, T.Response, T.Parameters, T.Vec
+LAW = effect_of("hysteresis_boucwen").branch.law
+Y, STEPS = 0.05, 4000
+RISE = {1.0: lambda x: 1 - np.exp(-x), 2.0: np.tanh}  # z / y over turn / y from z = 0
+
+
+@wp.kernel(module="unique")
+def turn(path_in: wp.array(dtype=wp.vec3), y: float, n: float, m: float, torque_out: wp.array(dtype=wp.vec3)):
+    """Turn a joint of unit stiffness along a path, a step of 1 s from one place to the next, and write the torque."""
+    none, z = Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0)
+    for k in range(path_in.shape[0]):
+        rate = path_in[k]
+        if k > 0:
+            rate = path_in[k] - path_in[k - 1]
+        j = JointState(none, Vec(rate[0], rate[1], rate[2]), 1.0, 0.0, 1.0)
+        r = LAW(j, Parameters(1.0, y, n, m, 0.0, 0.0), Response(none, z, 0.0, 0.0))
+        z = r.memory
+        torque_out[k] = wp.vec3(r.torque.x, r.torque.y, r.torque.z)
+
+
+def turned(path, n, m):
+    """Return the torque along a path [samples, 3]."""
+    given = wp.array(path, dtype=wp.vec3, device="cpu")
+    out = wp.full(len(path), wp.vec3(np.nan, np.nan, np.nan), dtype=wp.vec3, device="cpu")
+    wp.launch(turn, dim=1, inputs=[given, Y, n, m], outputs=[out], device="cpu")
+    return out.numpy()
+
+
+def to_and_fro(far):
+    """Return a turn of ``far`` and back to where it began, [samples]."""
+    return np.concatenate([np.linspace(0, far, STEPS), np.linspace(far, 0, STEPS)])
+
+
+def slid(path, n):
+    """Return z along `to_and_fro`: up to s = y RISE(far / y); elastic down to zero; then down as it went up."""
+    far = path.max()
+    s = Y * RISE[n](far / Y)
+    back = far - path[STEPS:]
+    down = np.where(back < s, s - back, -Y * RISE[n](np.maximum(back - s, 0.0) / Y))
+    return np.concatenate([Y * RISE[n](path[:STEPS] / Y), down])
+
+
+CLOSE = 0.2 / STEPS  # one step's turn: the law's step is of first order
+
+
+@pytest.mark.parametrize("n", [1.0, 2.0])
+def test_one_axis_follows_the_closed_form(n):
+    """Turn four yield angles along an oblique axis and back: round, the torque is along it."""
+    along = np.array([0.6, -0.64, 0.48])
+    path = to_and_fro(4 * Y)
+    np.testing.assert_allclose(turned(path[:, None] * along, n, 0.0), -slid(path, n)[:, None] * along, atol=CLOSE)
+
+
+@pytest.mark.parametrize("n", [1.0, 2.0])
+def test_each_axis_slides_by_itself(n):
+    """Turn along an oblique axis with the whole share separate: every component has its own closed form."""
+    far = np.array([4.0, 2.0, 0.5]) * Y
+    path = np.stack([to_and_fro(f) for f in far], 1)
+    expected = np.stack([slid(path[:, k], n) for k in range(3)], 1)
+    np.testing.assert_allclose(turned(path, n, 1.0), -expected, atol=CLOSE)
+
+
+def test_exponents_between_are_between():
+    """Slide at a rate between those of exponents one and two on the way up."""
+    path = to_and_fro(2 * Y)[:STEPS, None] * np.array([1.0, 0.0, 0.0])
+    low, middle, high = (-turned(path, n, 0.0)[1:, 0] for n in (1.0, 1.5, 2.0))
+    assert (low < middle + 1e-7).all() and (middle < high + 1e-7).all()
+    assert middle[-1] - low[-1] > 0.01 * Y and high[-1] - middle[-1] > 0.01 * Y
+
+
+def test_a_round_slider_knows_no_axes():
+    """Turn path and axes together: the torque is turned."""
+    t = np.linspace(0, 12, STEPS)[:, None]
+    path = 0.1 * np.sin(t * np.array([1.0, 1.4, 0.7]) + np.array([0.0, 1.0, 2.0]))
+    path -= path[0]
+    turn_all, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))
+    np.testing.assert_allclose(turned(path @ turn_all.T, 1.5, 0.0), turned(path, 1.5, 0.0) @ turn_all.T, atol=2e-6)
+    step = np.linalg.norm(np.diff(path, axis=0), axis=1).max()
+    assert (np.linalg.norm(turned(path, 1.5, 0.0), axis=1) < Y + step).all()
+    assert (np.abs(turned(path, 1.5, 1.0)) < Y + step).all()
