@@ -129,6 +129,7 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
     @wp.struct
     class LinkState:
         velocity: Vec
+        arm: Vec
         area: Real
         time: Real
 
@@ -352,7 +353,7 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
                 fx.wind[e, i] = zero
                 if fx.active[e, at_links] == 1 and still != CALM:
                     arm = rotate(s.pose[row, i], fx.centre[e, i])
-                    b = LinkState(centre_velocity(e, row, i, m, s, arm), fx.area[e, i], real(time, o))
+                    b = LinkState(centre_velocity(e, row, i, m, s, arm), arm, fx.area[e, i], real(time, o))
                     fx.wind[e, i] = link(e, i, fx, b)
 
     act = wp.func(act, name=f"act_{key}")

@@ -41,7 +41,7 @@ def hat(x: Any):
 
 @wp.func
 def opening(input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, closed: int):
-    """Samples from k until the gripper next opens, by column ``closed`` (1 or 0); beyond what a shift can reach: never."""
+    """Samples from k until the gripper next opens, by column ``closed`` (1 or 0); many where no shift reaches it."""
     if closed < 0:
         return 3 * DELAY
     for d in range(1, 2 * DELAY + 2):

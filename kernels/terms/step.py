@@ -202,7 +202,8 @@ def _blowing(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> Any:
         """Write the laws' force on every link."""
         for i in range(1, m.count[e] + 1):
             arm = rotate(s.pose[row, i], fx.centre[e, i])
-            fx.wind[row, i] = law(e, i, fx, LinkState(centre_velocity(e, row, i, m, s, arm), fx.area[e, i], time))
+            b = LinkState(centre_velocity(e, row, i, m, s, arm), arm, fx.area[e, i], time)
+            fx.wind[row, i] = law(e, i, fx, b)
 
     return wp.func(blow, name=f"blow_{key}")
 

@@ -40,8 +40,8 @@ _BEND = EffectParameter("bend_rad", "rad", 0.0, lambda s: 0.03 * s.angle, tries=
 EFFECT = register(
     Effect(
         name="dry_friction",
-        summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first, 0.5 mrad"
-        " at least)",
+        summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first, 0.5"
+        " mrad at least)",
         source="Coulomb 1785; elastic before it slips as in Dahl 1968, Aerospace TOR-158",
         signature="oscillations decay in a straight line and stop off centre; loops keep their width however slow",
         mistaken_for=("hysteresis_boucwen", "plastic_set", "quadratic_drag"),

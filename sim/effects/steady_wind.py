@@ -4,31 +4,55 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, mul, sub
+from ...kernels.algebra import add, div, dot, mul, sub
+from ...kernels.real import fma, real, sqrt_
 from .registry import Effect, EffectParameter, Law, register
 
 
 @wp.func
-def steady_wind(b: Any, p: Any):
-    """F = q A with the pressure q (x, y, z) on the projected area A."""
-    return type(b.velocity)(p.a, p.b, p.c) * b.area
+def pressed(q: Any, b: Any, m: Any):
+    """F = A |q| |u| u, u = n - m (n.d) d, n = q / |q|: the force of a pressure q on a segment along d.
 
+    Air that flows along a rod hardly moves it: with m = 1 what flows across it alone counts, squared (cross-flow
+    principle); with m = 0 the force is A q however the segment lies.
+    """
+    o = real(0.0, m)
+    one = real(1.0, o)
+    tiny = real(1.0e-20, o)
+    size = sqrt_(fma(dot(q, q), one, tiny))
+    n = q * (one / size)
+    u = n - b.arm * (m * dot(n, b.arm) / fma(dot(b.arm, b.arm), one, tiny))
+    return u * (size * b.area * sqrt_(fma(dot(u, u), one, tiny)))
+
+
+@wp.func
+def steady_wind(b: Any, p: Any):
+    """F of the pressure q (x, y, z), m of it across the segment."""
+    return pressed(type(b.velocity)(p.a, p.b, p.c), b, p.d)
+
+
+ACROSS = EffectParameter("across", "1", 0.0, 1.0, tries=2)
 
 EFFECT = register(
     Effect(
         name="steady_wind",
-        summary="a force q A on every segment of projected area A, q constant; the branch rests displaced by it",
-        source="Vogel, Life in Moving Fluids (1994), chapter 5 (drag as dynamic pressure times area)",
+        summary="a force q A on every segment of projected area A, q constant; the share m of the air counts only as"
+        " far as it flows across the segment; the branch rests displaced by it",
+        source="Vogel, Life in Moving Fluids (1994), chapter 5 (drag as dynamic pressure times area); Hoerner,"
+        " Fluid-Dynamic Drag (1965), 3-11 (cross-flow principle)",
         signature="displacement is off in one direction before, during and after contact",
         mistaken_for=("force_bias", "gravity_comp_error"),
         probe="rows with the gripper open, long enough for the branch to rest",
         branch=Law(
             "link",
-            tuple(
-                EffectParameter(
-                    f"pressure_{c}_Pa", "Pa", lambda s: -3.0 * s.force / s.area, lambda s: 3.0 * s.force / s.area
-                )
-                for c in "xyz"
+            (
+                *(
+                    EffectParameter(
+                        f"pressure_{c}_Pa", "Pa", lambda s: -3.0 * s.force / s.area, lambda s: 3.0 * s.force / s.area
+                    )
+                    for c in "xyz"
+                ),
+                ACROSS,
             ),
             steady_wind,
             per_joint=False,

@@ -7,13 +7,14 @@ import warp as wp
 from ...kernels.algebra import add, div, mul, sub
 from ...kernels.real import cos_root, fma, fnma, real, round_, sin_ratio
 from .registry import Effect, EffectParameter, Law, register
+from .steady_wind import ACROSS, pressed
 
 PI = wp.constant(wp.float64(3.141592653589793))
 
 
 @wp.func
 def wind_gust(b: Any, p: Any):
-    """F = A (s sin 2 pi f t + c cos 2 pi f t), horizontal, t on the absolute clock, by half angles."""
+    """F of the pressure s sin 2 pi f t + c cos 2 pi f t, horizontal, t on the absolute clock, by half angles."""
     cycles = p.e * b.time
     half = (cycles - round_(cycles)) * real(PI, cycles)
     u = half * half
@@ -23,7 +24,7 @@ def wind_gust(b: Any, p: Any):
     double_cosine = fnma(sine + sine, sine, real(1.0, u))
     x = fma(p.b, double_cosine, p.a * double_sine)
     y = fma(p.d, double_cosine, p.c * double_sine)
-    return type(b.velocity)(x * b.area, y * b.area, real(0.0, u))
+    return pressed(type(b.velocity)(x, y, real(0.0, u)), b, p.f)
 
 
 def _pressure(name: str) -> EffectParameter:
@@ -33,7 +34,8 @@ def _pressure(name: str) -> EffectParameter:
 EFFECT = register(
     Effect(
         name="wind_gust",
-        summary="a horizontal force on every segment that oscillates at one frequency on the absolute clock",
+        summary="a horizontal force on every segment that oscillates at one frequency on the absolute clock; of the"
+        " share m of the air only what flows across the segment counts",
         source="Davenport 1961, Q. J. R. Meteorol. Soc. 87:194 (one component of the gust spectrum)",
         signature="the open gripper sees the branch sway; replicates differ by their phase on the clock",
         mistaken_for=("steady_wind",),
@@ -52,6 +54,7 @@ EFFECT = register(
                     lambda s: 0.2 / s.dt,
                     reach=lambda s: 0.25 / (s.end - s.start),
                 ),
+                ACROSS,
             ),
             wind_gust,
             per_joint=False,

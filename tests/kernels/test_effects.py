@@ -251,15 +251,26 @@ def test_no_effect_is_the_plain_kernel(tmp_path):
     assert rollout.effects is None
 
 
-def test_steady_wind_holds_the_stick_aside(tmp_path):
-    """Rest where pressure times area, weight and spring balance, from the first sample on, at no force."""
+@pytest.mark.parametrize("across", [0.0, 1.0])
+def test_steady_wind_holds_the_stick_aside(tmp_path, across):
+    """Rest where wind, weight and spring balance, from the first sample on, at no force.
+
+    The wind's force is pressure times area; across the stick, the squared speed of the air that flows across it.
+    """
     case = stick_case(tmp_path / "c", [np.zeros((60, 3))])
     q = np.array([60.0, -90.0, 40.0])
-    out = stick(case, steady_wind={f"pressure_{c}_Pa": v for c, v in zip("xyz", q, strict=True)})[0]
+    on = {f"pressure_{c}_Pa": v for c, v in zip("xyz", q, strict=True)} | {"across": across}
+    out = stick(case, steady_wind=on)[0]
     a, b = case.radius[0]
     centre = case.length[0] * (a + 2 * b) / (3 * (a + b))
-    push = q * case.length[0] * (a + b)
-    expected = resting(case, lambda phi: -KS * phi, lambda R: push, point=centre)
+    strength, blows = np.linalg.norm(q), q / np.linalg.norm(q)
+
+    def push(rotation):
+        rod = rotation.apply(case.axis[0])
+        u = blows - across * (blows @ rod) * rod
+        return case.length[0] * (a + b) * strength * np.linalg.norm(u) * u
+
+    expected = resting(case, lambda phi: -KS * phi, push, point=centre)
     assert np.linalg.norm(expected) > 0.005
     for k in (0, -1):
         np.testing.assert_allclose(out[k, :3], expected, atol=2e-4 * np.linalg.norm(expected))
@@ -441,13 +452,13 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
     at_joint, elsewhere = ("hysteresis_boucwen", "plastic_set"), ("wind_gust", "steady_wind", "time_delay", "tip_mass")
     acting = (*(Acting(n, 0) for n in at_joint), *(Acting(n) for n in elsewhere))
     values = torch.tensor(
-        [[KS, DS, 0.3, 0.05, 1.4, 0.3, 0.4, 0.05, 0.5, 0.3, 20, 30, -20, 5, 0.9, 10, 5, -5, 0.01, 0.02]]
+        [[KS, DS, 0.3, 0.05, 1.4, 0.3, 0.4, 0.05, 0.5, 0.3, 20, 30, -20, 5, 0.9, 0.3, 10, 5, -5, 0.6, 0.01, 0.02]]
     )
     outs = []
     for width in (1, 8):
         monkeypatch.setattr("bough.learn.rollout.simd_width", lambda w=width: w)
         rollout = Rollout(case, recordings(case), 2, unknowns=Unknowns(effects=acting))
         order = [p.name for p in rollout.plant.parameters]
-        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 20
+        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 22
         outs.append(rollout(values.repeat(2, 1)).clone())
     assert (outs[0] == outs[1]).all() and torch.isfinite(outs[0]).all()

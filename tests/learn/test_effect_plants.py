@@ -135,8 +135,8 @@ BRANCH_TRUTH = {
     "force_bias": (0.2, -0.3, 0.25),
     "force_scale": (1.3,),
     "time_delay": (0.03,),
-    "steady_wind": (30.0, -40.0, 20.0),
-    "wind_gust": (20.0, -15.0, 10.0, 12.0, 0.9),
+    "steady_wind": (30.0, -40.0, 20.0, 0.4),
+    "wind_gust": (20.0, -15.0, 10.0, 12.0, 0.9, 0.4),
     "gravity_comp_error": (0.15, 0.6),
     "anisotropic_stiffness": (0.8, 0.7),
     "bilinear_stiffness": (1.0, 1.2),
@@ -145,7 +145,8 @@ BRANCH_TRUTH = {
 FIXED_AT_TRUTH = {
     "plastic_set": ("separate",),
     "gravity_comp_error": ("tared",),
-    "wind_gust": ("frequency_Hz",),
+    "wind_gust": ("frequency_Hz", "across"),
+    "steady_wind": ("across",),
     "partial_rupture": ("moment_s",),
 }
 

@@ -581,7 +581,10 @@ def test_command_simulates_effects(tree_file):
         ("dry_friction", "--effect: found 'dry_friction'; allowed: NAME:PARAMETER=VALUE"),
         ("friction:torque_Nm=1", "--effect: effects: found 'friction'; allowed: one of cubic_stiffness"),
         ("force_scale:scale=1.1", "found 'force_scale', an effect of measured cases"),
-        ("dry_friction:torque=1", "--effect: dry_friction: found parameter 'torque'; allowed: torque_Nm [N m], bend_rad [rad]"),
+        (
+            "dry_friction:torque=1",
+            "--effect: dry_friction: found parameter 'torque'; allowed: torque_Nm [N m], bend_rad [rad]",
+        ),
         ("dry_friction:torque_Nm=0.1Nm", "torque_Nm: found '0.1Nm'; allowed: 0 or more, in N m and without the unit"),
         ("dry_friction:torque_Nm=-1", "found '-1'; allowed: 0 or more"),
         ("dry_friction:torque_Nm=1,torque_Nm=2", "found torque_Nm a second time; allowed: each parameter once"),
