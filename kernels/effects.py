@@ -7,7 +7,8 @@ ones it is built with; the plain step (`articulated`) knows nothing of them.
            (zero at the start); it returns one of the type of r: torque added to the joint's effort [N m or N], new
            memory, stiffness beyond the joint's spring [N m/rad], damping [N m s/rad]; torque is without the damper's.
            A law that remembers two vectors gets a `LongResponse`, with ``second`` after ``memory``
-``link``   ``law(b, p)`` takes a `LinkState` and returns the force on the link's centre of area, world axes [N]
+``link``   ``law(b, p)`` takes a `LinkState` (``velocity`` of the link's centre of area [m/s] and ``arm`` from the joint
+           to it [m], world axes; ``area`` [m^2], ``time`` [s]) and returns the force there, world axes [N]
 ``force``  ``law(g, p)`` takes a `ForceState` and returns the force that truly acts, from what the sensor recorded [N]
 
 ``p`` holds up to six parameters, ``p.a`` to ``p.f``, in the order in which the effect lists them. A ball joint's angle
