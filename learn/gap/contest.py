@@ -12,6 +12,7 @@ columns with a prior (`nuisance`), so that no effect is named for it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import torch
@@ -114,9 +115,18 @@ class Contest:
         self._stack(torch.as_tensor(sigma, dtype=torch.float64, device=self.place))
         self.colour: Colour | None = None
         self.overdispersion = 1.0
+        self._stiffen()
+
+    def _stiffen(self) -> None:
         empty = torch.zeros(0, dtype=torch.float64, device=self.place)
         self.nuisance = empty.new_zeros(0, self.measured.numel())
         self.nuisance_mean, self.nuisance_spread = empty, empty
+
+    def rigid(self) -> Contest:
+        """Return the same contest, sharing its memory, in which segments do not bend: as every simulator has them."""
+        out = copy(self)
+        out._stiffen()
+        return out
 
     def _rollout(self, size: int) -> Rollout:
         if size not in self._rollouts:
