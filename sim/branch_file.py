@@ -47,7 +47,7 @@ class SegmentModel(Strict):
 
 
 class EffectModel(Strict):
-    """An effect with all its parameters; ``joint`` counts from the base, null where it is not at a joint."""
+    """An effect with its parameters; ``joint`` counts from the base, null where it is not at a joint."""
 
     name: str
     joint: Annotated[int, Field(ge=0)] | None = None
@@ -80,7 +80,7 @@ def read_branch_file(path: str | Path) -> BranchFile:
     Raises:
         InputError: The file is missing or no YAML, has unknown or missing keys or values that cannot be, gives the size
             of a segment in part or of some segments only, names an unknown effect, puts it where it cannot act, or
-            leaves out one of its parameters.
+            leaves out one of its parameters that is not optional.
     """
     file = YamlFile(Path(path), FORMAT)
     meta = validated(file, BranchFile)
@@ -131,6 +131,8 @@ def _check_parameters(file: YamlFile, here: list[str | int], item: EffectModel, 
         if name not in names:
             raise file.error([*here, name], f"'{name}', which {item.name} does not have", nearest(name, names))
     for spec in law.parameters:
+        if spec.optional:
+            item.parameters.setdefault(spec.name, spec.neutral)
         if spec.name not in item.parameters:
             raise file.error(here, f"no {spec.name}", ", ".join(names))
         if spec.scale == "log" and item.parameters[spec.name] < 0.0:

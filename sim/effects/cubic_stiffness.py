@@ -44,7 +44,7 @@ EFFECT = register(
         signature="frequency and stiffness depend on amplitude, alike in both directions and in hold and release",
         mistaken_for=("bilinear_stiffness", "force_scale"),
         probe="the same push at a third and at three times the force",
-        branch=Law("joint", (_CUBIC, EffectParameter("separate", "1", 0.0, 1.0, tries=2)), cubic_ball),
+        branch=Law("joint", (_CUBIC, EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True)), cubic_ball),
         joint=Law("joint", (_CUBIC,), cubic_stiffness),
     )
 )

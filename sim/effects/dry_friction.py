@@ -35,7 +35,7 @@ def dry_friction(j: Any, p: Any, r: Any):
 
 
 _TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")
-_BEND = EffectParameter("bend_rad", "rad", 0.0, lambda s: 0.03 * s.angle, tries=1)
+_BEND = EffectParameter("bend_rad", "rad", 0.0, lambda s: 0.03 * s.angle, tries=1, optional=True)
 
 EFFECT = register(
     Effect(

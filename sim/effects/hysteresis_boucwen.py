@@ -46,9 +46,9 @@ def hysteresis_boucwen(j: Any, p: Any, r: Any):
 _PARAMETERS = (
     EffectParameter("share", "1", 0.02, 3.0, scale="log", typical=0.3, tries=1),
     EffectParameter("yield_rad", "rad", lambda s: 0.02 * s.angle, lambda s: s.angle, scale="log"),
-    EffectParameter("exponent", "1", 1.0, 2.0, neutral=2.0, tries=1),
+    EffectParameter("exponent", "1", 1.0, 2.0, neutral=2.0, tries=1, optional=True),
 )
-_SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2)
+_SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True)
 
 EFFECT = register(
     Effect(

@@ -60,9 +60,9 @@ def plastic_set(j: Any, p: Any, r: Any):
 _PARAMETERS = (
     EffectParameter("share", "1", 0.02, 0.95, scale="log", typical=0.3, tries=1),
     EffectParameter("yield_rad", "rad", lambda s: 0.05 * s.angle, lambda s: s.angle, scale="log"),
-    EffectParameter("isotropic", "1", 0.0, 1.0, tries=1),
+    EffectParameter("isotropic", "1", 0.0, 1.0, tries=1, optional=True),
 )
-_SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2)
+_SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True)
 
 EFFECT = register(
     Effect(

@@ -79,6 +79,7 @@ class EffectParameter:
             parameter about its neutral value where the box allows, and looks at three values of any other.
         reach: Change of the value (of its logarithm) over which the response is about linear, for searches; None takes
             half the box, or one for a logarithm.
+        optional: Whether a file may leave it out; it is neutral then.
     """
 
     name: str
@@ -90,6 +91,7 @@ class EffectParameter:
     typical: Bound | None = None
     tries: int | Callable[[Setting], Sequence[float]] | None = None
     reach: Bound | None = None
+    optional: bool = False
 
 
 def axis_parameter(*, circle: bool, tries: int) -> EffectParameter:

@@ -31,7 +31,7 @@ def steady_wind(b: Any, p: Any):
     return pressed(type(b.velocity)(p.a, p.b, p.c), b, p.d)
 
 
-ACROSS = EffectParameter("across", "1", 0.0, 1.0, tries=2)
+ACROSS = EffectParameter("across", "1", 0.0, 1.0, tries=2, optional=True)
 
 EFFECT = register(
     Effect(

@@ -19,7 +19,7 @@ from bough.learn.simulated_case import Experiment, random_branch, write_simulate
 from bough.sim.errors import InputError
 from oracles.effect_case import stick_case
 
-EFFECTS = (Acting("dry_friction", 0, {"torque_Nm": 0.3}), Acting("tip_mass", None, {"mass_kg": 0.1}))
+EFFECTS = (Acting("dry_friction", 0, {"torque_Nm": 0.3, "bend_rad": 0.002}), Acting("tip_mass", None, {"mass_kg": 0.1}))
 MODEL = BranchModel("found", ("stick",), np.array([20.0]), np.array([1 / 3]), EFFECTS)
 QUICK = Settings(particles=16, iterations=20)
 SIZE = np.array([[0.5, 0.012, 0.010]])  # of the stick
@@ -42,6 +42,15 @@ def test_written_is_read(tmp_path):
     assert again.size is None
     write_model(tmp_path / "model.yaml", replace(MODEL, size=SIZE / 3))
     assert (read_model(tmp_path / "model.yaml").size == SIZE / 3).all()
+
+
+def test_refinements_may_be_left_out(tmp_path):
+    """Take the neutral value of a parameter that only refines an effect, as files of earlier versions do."""
+    hysteresis = {"name": "hysteresis_boucwen", "joint": 0, "parameters": {"share": 0.3, "yield_rad": 0.05}}
+    content = {"format": "branch-model/1", "name": "found", "segments": [STICK], "effects": [hysteresis]}
+    (tmp_path / "model.yaml").write_text(yaml.safe_dump(content))
+    known = read_model(tmp_path / "model.yaml").effects[0].known
+    assert known == {"share": 0.3, "yield_rad": 0.05, "exponent": 2.0, "separate": 0.0}
 
 
 @pytest.mark.parametrize(
@@ -120,7 +129,8 @@ def test_a_diagnosis_writes_sizes_and_medians(tmp_path):
     case = stick_case(tmp_path / "case", [push()])
     found = SimpleNamespace(
         case=case, best_values={"stiffness stick": 21.0, "damping stick": 0.4}, effects=(Acting("dry_friction", 0),),
-        parameters={"dry_friction@0": {"torque_Nm": Interval(0.3, 0.2, 0.4, "N m")}},
+        parameters={"dry_friction@0": {"torque_Nm": Interval(0.3, 0.2, 0.4, "N m"),
+                                       "bend_rad": Interval(0.002, 0.001, 0.003, "rad")}},
     )  # fmt: skip
     write_repaired(tmp_path / "model.yaml", found)
     model = read_model(tmp_path / "model.yaml")
