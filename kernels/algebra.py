@@ -288,6 +288,13 @@ INVERSE_PI = wp.constant(wp.float64(0.3183098861837907))
 
 
 @wp.func
+def norm(v: Any):
+    """|v|, above zero, so that it can be divided by."""
+    o = real(0.0, v.x)
+    return sqrt_(fma(dot(v, v), real(1.0, o), real(1.0e-20, o)))
+
+
+@wp.func
 def shifted_inverse(a: Any, k: Any):
     """(a + k 1)^-1 of a symmetric matrix, by cofactors."""
     xx = a.xx + k

@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from .algebra import add, add_cross, add_scaled, cross, div, dot, mul, rotate, sub, unrotate
+from .algebra import add, add_cross, add_scaled, cross, div, dot, mul, norm, rotate, sub, unrotate
 from .effects import CALM, GROUPS, MOVING, PARAMETERS, STILL, Term, memory_row, step_of
 from .observe import locate_links
 from .real import SOURCE, fma, fnma, real, sqrt_, where_neg
@@ -19,6 +19,10 @@ __all__ = ["DELAY", "SETTLING", "effect_rollout_kernels"]
 
 #: Most samples that a force may lag or lead.
 DELAY = 5
+#: Samples until a gripper opens that no shift reaches.
+NEVER = wp.constant(3 * DELAY)
+#: Column of a branch's input that is 1 where the gripper may hold, else 0.
+CLOSED = wp.constant(3)
 
 #: Steps that seek rest under a load, each Newton's with 5/4 of the joints' stiffness, and their length [s].
 SETTLING = 16
@@ -40,26 +44,24 @@ def hat(x: Any):
 
 
 @wp.func
-def opening(input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, closed: int):
-    """Samples from k until the gripper next opens, by column ``closed`` (1 or 0); many where no shift reaches it."""
-    if closed < 0:
-        return 3 * DELAY
+def opening(input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int):
+    """Samples from k until the gripper next opens; `NEVER` where no shift reaches it."""
     for d in range(1, 2 * DELAY + 2):
-        if sample(input_in, j, k + d, n, closed) == wp.float64(0.0):
-            if sample(input_in, j, k + d - 1, n, closed) > wp.float64(0.0):
+        if sample(input_in, j, k + d, n, CLOSED) == wp.float64(0.0):
+            if sample(input_in, j, k + d - 1, n, CLOSED) > wp.float64(0.0):
                 return int(d)
-    return 3 * DELAY
+    return int(NEVER)
 
 
 @wp.func
 def shifted(
-    input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, c: int, closed: int, share: wp.float64, lag: Any
+    input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, c: int, ends: int, share: wp.float64, lag: Any
 ):
     """What a shift of the recording by ``lag`` samples adds to its value ``share`` of a sample after sample k.
 
-    A force that ends as the gripper opens falls to zero within a sample. A recorded value that lies f of a sample
-    inside this fall is 1 - f of the force, so f of the one before is added; one after it is not used. What is
-    linear between the samples after a shift is no more what it was, and a release is the largest change of all.
+    The gripper opens ``ends`` samples after k, and the force falls to zero within the last of them. A recorded value
+    that lies f of a sample inside this fall is 1 - f of the force, so f of the one before is added; one after it is not
+    used. What is linear between the samples after a shift is no more what it was, and a release is the largest change.
     """
     o = real(0.0, lag)
     one = real(1.0, lag)
@@ -67,7 +69,6 @@ def shifted(
     most = real(float(DELAY), lag)
     late = where_neg(most - lag, most, lag)
     late = where_neg(late + most, o - most, late)
-    ends = opening(input_in, j, k, n, closed)
     falling = wp.where(ends == 1, 1, 0)
     looked = here * real(float(1 - falling), lag) + late
     moved = o
@@ -90,7 +91,7 @@ def slid(fx: Any, e: int, k: int, force: Any, mobility: Any, least: Any, low: wp
     """Advance how far the grip has slid [m]: rate = mobility (|F| - least) towards the tip, inside the segment."""
     z = fx.memory[e, k]
     o = real(0.0, mobility)
-    size = sqrt_(fma(dot(force, force), real(1.0, o), real(1.0e-20, o)))
+    size = norm(force)
     excess = where_neg(size - least, o, size - least)
     new = fma(excess * mobility, h, z.x)
     bottom = real(low, o)
@@ -185,9 +186,9 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
 
     def drawn(
         input_in: wp.array3d(dtype=wp.float64), e: int, fx: Any, j: int, k: int, after: int, n: int, c: int, step: int,
-        substeps: int, hold: int, rate: wp.float64, sensed: int, closed: int, like: Any,
+        substeps: int, hold: int, rate: wp.float64, sensed: int, ends: int, like: Any,
     ):  # fmt: skip
-        """Recorded value in the middle of a step; shifted by the lag of the sensor, it is in column ``sensed``."""
+        """Recorded value in the middle of a step; `shifted` by the lag of the sensor, it is in column ``sensed``."""
         a = input_in[j, k, c]
         share = (wp.float64(step) + wp.float64(0.5)) / wp.float64(substeps)
         value = real(a + (input_in[j, after, c] - a) * (wp.float64(hold) * share), like)
@@ -196,7 +197,7 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                 lag = fx.parameter[e, delay_slot * fx.stride] * real(rate, like)
                 a = input_in[j, k, sensed]
                 value = real(a + (input_in[j, after, sensed] - a) * (wp.float64(hold) * share), like)
-                value = value + shifted(input_in, j, k, n, sensed, closed, share, lag)
+                value = value + shifted(input_in, j, k, n, sensed, ends, share, lag)
         return value
 
     drawn = wp.func(drawn, name=f"drawn_{key}")
@@ -291,15 +292,18 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                         for i in range(m.count[e] + 1):
                             coordinate_out[e, (at + k) * fx.stride + i] = x_in_out.coordinate[e, i]
                 if k < n - 1:
+                    ends = wp.int32(NEVER)
+                    if wp.static(has_delay):
+                        ends = opening(input_in, j, k, n)
                     for step in range(substeps):
                         recorded = Vec(
-                            drawn(input_in, e, fx, j, k, k + 1, n, 0, step, substeps, 1, rate, 4, 3, o),
-                            drawn(input_in, e, fx, j, k, k + 1, n, 1, step, substeps, 1, rate, 5, 3, o),
-                            drawn(input_in, e, fx, j, k, k + 1, n, 2, step, substeps, 1, rate, 6, 3, o),
+                            drawn(input_in, e, fx, j, k, k + 1, n, 0, step, substeps, 1, rate, 4, ends, o),
+                            drawn(input_in, e, fx, j, k, k + 1, n, 1, step, substeps, 1, rate, 5, ends, o),
+                            drawn(input_in, e, fx, j, k, k + 1, n, 2, step, substeps, 1, rate, 6, ends, o),
                         )
                         held = real(wp.min(input_in[j, k, 3] + input_in[j, k + 1, 3], wp.float64(1.0)), o)
                         recorded = recorded * held  # a late sensor still feels what an open gripper does not
-                        contact = drawn(input_in, e, fx, j, k, k + 1, n, 3, step, substeps, 1, rate, 7, 3, o) * held
+                        contact = drawn(input_in, e, fx, j, k, k + 1, n, 3, step, substeps, 1, rate, 7, ends, o) * held
                         gravity = zero - s_out.accel0[r, 0]
                         now = ForceState(recorded, contact, s_out.pose[r, place], calm, gravity)
                         acting = force_law(e, 0, fx, now)
@@ -357,7 +361,7 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
             for step in range(substeps):
                 for d in range(driven.shape[0]):
                     i = driven[d]
-                    recorded = drawn(input_in, e, fx, j, k, after, n, d, step, substeps, hold, rate, d, -1, o)
+                    recorded = drawn(input_in, e, fx, j, k, after, n, d, step, substeps, hold, rate, d, NEVER, o)
                     pose = s_out.pose[r, i]
                     now = ForceState(Vec(recorded, o, o), real(1.0, o), pose, pose, zero)
                     effort = u_out.effort[e, i]

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, sub
+from ...kernels.algebra import add, div, dot, mul, norm, sub
 from ...kernels.real import fma, real, sqrt_, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
@@ -14,8 +14,7 @@ def backlash(j: Any, p: Any, r: Any):
     """tau = +K phi min(1, g / |phi|): the spring is left -K (phi - g phi / |phi|) outside the gap, 0 inside."""
     o = real(0.0, p.a)
     one = real(1.0, o)
-    size = sqrt_(fma(dot(j.angle, j.angle), one, real(1.0e-20, o)))
-    share = p.a / size
+    share = p.a / norm(j.angle)
     share = where_neg(one - share, one, share)
     return type(r)(j.angle * (j.stiffness * share), r.memory, o, o)
 

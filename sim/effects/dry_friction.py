@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, sub
-from ...kernels.real import fma, real, sqrt_, where_neg
+from ...kernels.algebra import add, div, mul, norm, sub
+from ...kernels.real import real, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
 #: Least angle (or way) over which asperities bend before they slip [rad or m].
@@ -25,11 +25,11 @@ def dry_friction(j: Any, p: Any, r: Any):
     y = where_neg(p.b - least, least, p.b)
     turn = j.rate * j.step
     z = r.memory + turn
-    far = sqrt_(fma(dot(z, z), one, real(1.0e-20, o)))
+    far = norm(z)
     share = y / far
     z = z * where_neg(y - far, share, one)
     s = z + turn
-    far = sqrt_(fma(dot(s, s), one, real(1.0e-20, o)))
+    far = norm(s)
     k = p.a / where_neg(far - y, y, far)
     return type(r)(z * (o - k), z, o, k * j.step)
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, sub
+from ...kernels.algebra import add, div, dot, mul, norm, sub
 from ...kernels.real import fma, real, sqrt_, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
@@ -30,7 +30,7 @@ def hysteresis_boucwen(j: Any, p: Any, r: Any):
     z = r.memory
     y = sqrt_(fma(p.b, p.b, real(1.0e-12, o)))
     tiny = real(1.0e-20, o)
-    joint = sliding(dot(z, j.rate), sqrt_(fma(dot(z, z), one, tiny)), y, p.c) * (one - p.d)
+    joint = sliding(dot(z, j.rate), norm(z), y, p.c) * (one - p.d)
     gx = fma(p.d, sliding(z.x * j.rate.x, sqrt_(fma(z.x, z.x, tiny)), y, p.c), joint)
     gy = fma(p.d, sliding(z.y * j.rate.y, sqrt_(fma(z.y, z.y, tiny)), y, p.c), joint)
     gz = fma(p.d, sliding(z.z * j.rate.z, sqrt_(fma(z.z, z.z, tiny)), y, p.c), joint)

@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, sub
-from ...kernels.real import fma, real, sqrt_, where_neg
+from ...kernels.algebra import add, div, mul, norm, sub
+from ...kernels.real import fma, real, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
 
@@ -22,13 +22,6 @@ def beyond(x: Any, limit: Any):
     over = size(x) - limit
     over = where_neg(over, o, over)
     return where_neg(x, o - over, over)
-
-
-@wp.func
-def norm(v: Any):
-    """|v|, above zero, so that a direction can be divided by it."""
-    o = real(0.0, v.x)
-    return sqrt_(fma(dot(v, v), real(1.0, o), real(1.0e-20, o)))
 
 
 @wp.func

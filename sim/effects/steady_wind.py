@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, sub
-from ...kernels.real import fma, real, sqrt_
+from ...kernels.algebra import add, div, dot, mul, norm, sub
+from ...kernels.real import fma, real
 from .registry import Effect, EffectParameter, Law, register
 
 
@@ -18,11 +18,10 @@ def pressed(q: Any, b: Any, m: Any):
     """
     o = real(0.0, m)
     one = real(1.0, o)
-    tiny = real(1.0e-20, o)
-    size = sqrt_(fma(dot(q, q), one, tiny))
+    size = norm(q)
     n = q * (one / size)
-    u = n - b.arm * (m * dot(n, b.arm) / fma(dot(b.arm, b.arm), one, tiny))
-    return u * (size * b.area * sqrt_(fma(dot(u, u), one, tiny)))
+    u = n - b.arm * (m * dot(n, b.arm) / fma(dot(b.arm, b.arm), one, real(1.0e-20, o)))
+    return u * (size * b.area * norm(u))
 
 
 @wp.func
