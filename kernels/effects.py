@@ -7,8 +7,10 @@ ones it is built with; the plain step (`articulated`) knows nothing of them.
            (zero at the start); it returns one of the type of r: torque added to the joint's effort [N m or N], new
            memory, stiffness beyond the joint's spring [N m/rad], damping [N m s/rad]; torque is without the damper's.
            A law that remembers two vectors gets a `LongResponse`, with ``second`` after ``memory``
-``link``   ``law(b, p)`` takes a `LinkState` (``velocity`` of the link's centre of area [m/s] and ``arm`` from the joint
-           to it [m], world axes; ``area`` [m^2], ``time`` [s]) and returns the force there, world axes [N]
+``link``   ``law(b, p)`` takes a `LinkState` (``velocity`` of a point [m/s] and ``arm`` from the joint to it [m], world
+           axes; ``turn`` of the link; ``area`` [m^2], ``time`` [s]) and returns the force there, world axes [N]. It is
+           asked at two points with half of the link's area each, so that a link that turns feels what its length does
+           (`strips_of`)
 ``force``  ``law(g, p)`` takes a `ForceState` and returns the force that truly acts, from what the sensor recorded [N]
 
 ``p`` holds up to six parameters, ``p.a`` to ``p.f``, in the order in which the effect lists them. A ball joint's angle
@@ -55,6 +57,9 @@ GROUPS = ("joint", "link", "lasting", "resting")
 #: Least damper of a ball joint over its stiffness, in steps.
 LEAST_DAMPER = wp.constant(wp.float64(0.6))
 
+
+#: Gauss's points of a link's length, from its middle, over the joint's distance from there.
+STRIP = wp.constant(wp.float64(3.0**-0.5))
 
 #: What a step is for: to move; to find rest under all that acts; or to find rest in a calm, without link forces.
 MOVING = wp.constant(0)
@@ -131,8 +136,14 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
     class LinkState:
         velocity: Vec
         arm: Vec
+        turn: Quat
         area: Real
         time: Real
+
+    @wp.struct
+    class Wrench:
+        force: Vec
+        moment: Vec
 
     @wp.struct
     class ForceState:
@@ -150,6 +161,7 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         effort: wp.array2d(dtype=Vec)
         hold: wp.array2d(dtype=Vec)
         wind: wp.array2d(dtype=Vec)
+        swirl: wp.array2d(dtype=Vec)
         active: wp.array2d(dtype=int)
         area: wp.array2d(dtype=Real)
         centre: wp.array2d(dtype=Vec)
@@ -159,7 +171,7 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         stride: int
 
     return SimpleNamespace(**vars(t), Parameters=Parameters, JointState=JointState, Response=Response,
-                           LongResponse=LongResponse, LinkState=LinkState, ForceState=ForceState,
+                           LongResponse=LongResponse, LinkState=LinkState, ForceState=ForceState, Wrench=Wrench,
                            Effects=Effects)  # fmt: skip
 
 
@@ -264,6 +276,31 @@ def chain_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: st
     return chain
 
 
+def strips_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
+    """Return the device function of the laws at a link: their force, and its moment about the joint, world axes.
+
+    Strip theory: force per length is integrated along the link by Gauss's two points, exact for cubics. The link
+    reaches from its joint to twice its centre of area.
+    """
+    law, LinkState, Wrench = chain_of("link", terms, types, key), types.LinkState, types.Wrench
+
+    def strips(e: int, row: int, i: int, m: Any, fx: Any, s: Any, time: Any):
+        pose = s.pose[row, i]
+        middle = rotate(pose, fx.centre[e, i])
+        velocity = centre_velocity(e, row, i, m, s, middle)
+        half = fx.area[e, i] * real(0.5, time)
+        away = middle * real(STRIP, time)
+        spin = s.spin[row, i]
+        far = LinkState(add_cross(velocity, spin, away), middle + away, pose, half, time)
+        near = LinkState(add_cross(velocity, away, spin), middle - away, pose, half, time)
+        outer = law(e, i, fx, far)
+        inner = law(e, i, fx, near)
+        none = outer - outer
+        return Wrench(outer + inner, add_cross(add_cross(none, far.arm, outer), near.arm, inner))
+
+    return wp.func(strips, name=f"strips_{key}")
+
+
 # ---- the step ----------------------------------------------------------------------------------------------------
 
 
@@ -320,12 +357,12 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
     t = effect_types(width, precision)
     key = f"{width}_{precision}_" + "_".join(term.name for term in terms)
     joint = chain_of("joint", terms, t, key)
-    link = chain_of("link", terms, t, key)
+    strips = strips_of(terms, t, key)
     force = chain_of("force", terms, t, key)
     has_joint, has_link = (int(any(x.kind == k for x in terms)) for k in ("joint", "link"))
     tips = [x.slot for x in terms if x.kind == "tip_mass"]
     has_tip, tip_slot = len(tips), tips[0] * PARAMETERS if tips else 0
-    JointState, Response, LinkState = t.JointState, t.Response, t.LinkState
+    JointState, Response = t.JointState, t.Response
     at_joints, at_links = (len(terms) + GROUPS.index(k) for k in ("joint", "link"))
 
     def act(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, still: int):
@@ -352,10 +389,11 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
             fx.effort[e, i] = total
             if wp.static(has_link):
                 fx.wind[e, i] = zero
+                fx.swirl[e, i] = zero
                 if fx.active[e, at_links] == 1 and still != CALM:
-                    arm = rotate(s.pose[row, i], fx.centre[e, i])
-                    b = LinkState(centre_velocity(e, row, i, m, s, arm), arm, fx.area[e, i], real(time, o))
-                    fx.wind[e, i] = link(e, i, fx, b)
+                    blown = strips(e, row, i, m, fx, s, real(time, o))
+                    fx.wind[e, i] = blown.force
+                    fx.swirl[e, i] = blown.moment
 
     act = wp.func(act, name=f"act_{key}")
 
@@ -384,9 +422,8 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
             f = own_force(row, i, s, mass, mc) - pushed
             n0 = add_cross(own_moment(row, i, s, A, mc), pushed, rotate(pose, u.point[e, i]))
             if wp.static(has_link):
-                blown = fx.wind[e, i]
-                f = f - blown
-                n0 = add_cross(n0, blown, rotate(pose, fx.centre[e, i]))
+                f = f - fx.wind[e, i]
+                n0 = n0 - fx.swirl[e, i]
             fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + fx.effort[e, i])
 
     fold = wp.func(fold, name=f"fold_{key}")

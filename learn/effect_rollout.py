@@ -39,13 +39,13 @@ class EffectArrays:
             FIELD: m.field("Real", places=count * PARAMETERS * stride),
             "memory": m.field("Vec", places=max(1, vectors * stride)),
             "settle": m.field("Real", places=1),
-            **{name: m.field("Vec") for name in ("effort", "hold", "wind", "centre")},
+            **{name: m.field("Vec") for name in ("effort", "hold", "wind", "swirl", "centre")},
             **{name: m.field("Real") for name in ("damping", "area")},
         }
         self.kernel = effect_types(m.width, m.precision).Effects()
         self.kernel.parameter = self.arrays[FIELD].kernel
         self.kernel.settle = self.arrays["settle"].column()
-        for name in ("memory", "effort", "hold", "wind", "centre", "damping", "area"):
+        for name in ("memory", "effort", "hold", "wind", "swirl", "centre", "damping", "area"):
             setattr(self.kernel, name, self.arrays[name].kernel)
         self.kernel.stride = stride
         self.kernel.active = wp.zeros((m.groups, count + len(GROUPS)), dtype=int, device=m.device)

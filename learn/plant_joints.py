@@ -14,6 +14,9 @@ from .case_joints import JointSpec
 from .joint_guess import guess_joint
 from .plant import Parameter, Write
 
+#: How far above its first guess the box of a spring or damper reaches at least.
+SLOW = 30.0
+
 
 class JointPlant:
     """Joints on a fixed frame, each with its own inertia, spring, damper and gravity torque; nulls are unknown.
@@ -56,12 +59,15 @@ class JointPlant:
         slow = guess.get("stiffness", 0.0) / fastest
         inertia = joint.inertia or max(guess.get("inertia", 0.0 if slow else 1.0), slow)
         sought = joint.inertia is None or joint.stiffness is None
+        # what is pulled slowly shows a spring and a damper whatever the samples, and no inertia
+        stiffest = max(inertia * fastest, SLOW * guess.get("stiffness", 0.0))
+        stickiest = max(inertia * fastest**0.5, SLOW * guess.get("damping", 0.0))
         self._resolve(inertia, joint.stiffness or guess.get("stiffness", 0.0), self._finest if sought else 0.0)
         out = []
         for name, value, unit, low, high in (
             ("inertia", joint.inertia, "kg m^2" if turn == "rad" else "kg", 1e-6 * inertia, 1e6 * inertia),
-            ("stiffness", joint.stiffness, f"{force}/{turn}", inertia * slowest, inertia * fastest),
-            ("damping", joint.damping, f"{force} s/{turn}", inertia * 1e-3 * slowest**0.5, inertia * fastest**0.5),
+            ("stiffness", joint.stiffness, f"{force}/{turn}", inertia * slowest, stiffest),
+            ("damping", joint.damping, f"{force} s/{turn}", inertia * 1e-3 * slowest**0.5, stickiest),
         ):
             if value is None:
                 out.append(Parameter(f"{name} {joint.name}", unit, low, high, _inside(guess.get(name), low, high)))

@@ -161,7 +161,7 @@ class ForestEffects(Mapping[str, Mapping[str, torch.Tensor]]):
         self._fields = {name: m.field(kind) for name, kind in kinds.items()}
         self._fields["parameter"] = m.field("Real", places=len(self.terms) * PARAMETERS * stride)
         self._fields["memory"] = m.field("Vec", places=max(1, memory_row(self.terms, len(self.terms)) * stride))
-        self._fields |= {name: self._launcher.field("Vec") for name in ("hold", "effort", "wind")}
+        self._fields |= {name: self._launcher.field("Vec") for name in ("hold", "effort", "wind", "swirl")}
         types = term_types(m.width, m.precision)
         self.kernel = types.Terms()
         for name, field in self._fields.items():

@@ -5,7 +5,7 @@ and notes which terms any world of a group uses (``active``); a term that none u
 The rest is `articulated.advance_loaded` with these terms:
 
 ``joint``     effort and damper of the law at every joint, the damper implicit
-``link``      a force on every link's centre of area
+``link``      a force on every link, and its moment about the joint
 ``tip_mass``  a point mass at the end of every link; torques hold it in the springs' rest pose, where there is a spring
 
 A law's time is the world's own: ``clock`` counts the seconds since the world's start in float64.
@@ -31,7 +31,7 @@ from ..articulated import (
     place_root,
     skew,
 )
-from ..effects import PARAMETERS, Term, centre_velocity, chain_of, effect_types, effective_damping, skew_square
+from ..effects import PARAMETERS, Term, chain_of, effect_types, effective_damping, skew_square, strips_of
 from ..momentum import HELD, PIVOTED, add_gravity, add_impulses, restore_momentum, sum_momentum
 from ..real import SOURCE, fma, real, where_neg
 
@@ -79,6 +79,7 @@ def term_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         hold: wp.array2d(dtype=Vec)
         effort: wp.array2d(dtype=Vec)
         wind: wp.array2d(dtype=Vec)
+        swirl: wp.array2d(dtype=Vec)
 
     return SimpleNamespace(**vars(t), Scalar=Scalar, Terms=Terms)
 
@@ -196,14 +197,14 @@ def _straining(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> Any:
 
 def _blowing(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> Any:
     """Device function of the laws at links."""
-    law, LinkState = chain_of("link", terms, t, key), t.LinkState
+    strips = strips_of(terms, t, key)
 
     def blow(e: int, row: int, m: Any, fx: Any, s: Any, time: Any):
-        """Write the laws' force on every link."""
+        """Write the laws' force on every link and its moment about the joint."""
         for i in range(1, m.count[e] + 1):
-            arm = rotate(s.pose[row, i], fx.centre[e, i])
-            b = LinkState(centre_velocity(e, row, i, m, s, arm), arm, fx.area[e, i], time)
-            fx.wind[row, i] = law(e, i, fx, b)
+            blown = strips(e, row, i, m, fx, s, time)
+            fx.wind[row, i] = blown.force
+            fx.swirl[row, i] = blown.moment
 
     return wp.func(blow, name=f"blow_{key}")
 
@@ -245,9 +246,8 @@ def _advancing(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> SimpleN
             n0 = add_cross(own_moment(row, i, s, A, mc), pushed, rotate(pose, u.point[e, i]))
             if wp.static(has_link):
                 if fx.active[e, at_link] == 1:
-                    blown = fx.wind[row, i]
-                    f = f - blown
-                    n0 = add_cross(n0, blown, rotate(pose, fx.centre[e, i]))
+                    f = f - fx.wind[row, i]
+                    n0 = n0 - fx.swirl[row, i]
             fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + effort)
 
     fold = wp.func(fold, name=f"fold_{key}")
@@ -275,10 +275,10 @@ def _advancing(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> SimpleN
             if fx.active[e, at_link] == 1:
                 for i in range(1, m.count[e] + 1):
                     s.accel[row, i] = s.accel[row, m.parent[e, i]] + s.r[row, i]
-                    impulse = fx.wind[row, i] * real(h, m.mass[e, i])
-                    at = s.accel[row, i] + rotate(s.pose[row, i], fx.centre[e, i])
+                    lasts = real(h, m.mass[e, i])
+                    impulse = fx.wind[row, i] * lasts
                     s.f[row, 0] = s.f[row, 0] + impulse
-                    s.n[row, 0] = add_cross(s.n[row, 0], at, impulse)
+                    s.n[row, 0] = add_cross(s.n[row, 0] + fx.swirl[row, i] * lasts, s.accel[row, i], impulse)
         if wp.static(has_joint):
             if fx.active[e, at_joint] == 1 and m.free[e] == PIVOTED:
                 torque = rotate(s.pose[row, 1], fx.effort[row, 1])

@@ -270,8 +270,3 @@ def active_rows(contest: Contest, rows: Rows, chosen: Sequence[Sequence[int]]) -
         for c in members:
             out.active[s, list(contest.candidates[c].columns)] = True
     return out
-
-
-def force_box(contest: Contest, free: torch.Tensor) -> torch.Tensor:
-    """Return free coordinates [S, n] inside their box."""
-    return torch.maximum(torch.minimum(free, contest.high), contest.low)

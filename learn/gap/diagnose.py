@@ -32,7 +32,7 @@ from ..target import Target
 from ..threads import one_thread
 from .candidates import names_for
 from .contest import Contest, Rows
-from .decide import ALARM, Field, alternatives, chosen, known, needs_more, size
+from .decide import ALARM, Field, alternatives, chosen, known, leading, needs_more, size
 from .diagnosis import Diagnosis, Gap, Interval, Rival, Settings, VerdictName
 from .evidence import family_wise, left_out, nulls, profiles
 from .next_probe import next_experiment
@@ -170,7 +170,7 @@ class Diagnoser:
         posterior = None if verdict != "effects" else self._posterior(field, model)
         self.seconds["total"] = time.perf_counter() - began
         seen = noise_seen(contest)
-        nearest = None if verdict != "unknown" or poor else contest.candidates[model.members[0]].name
+        nearest = None if verdict != "unknown" or poor else contest.candidates[leading(field, model)].name
         return Diagnosis(
             case=self.case, settings=self.settings, recordings=contest.recordings, sigma=seen, verdict=verdict,
             sentence=sentence(verdict, named, gap, field.explained(model), nearest, poor), effects=named,

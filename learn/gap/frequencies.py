@@ -9,6 +9,7 @@ session can tell apart.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,9 +27,13 @@ COARSE, FINE = 3, 3
 PULSE = 0.1
 
 
-def frequency_probes(contest: Contest, basis: Basis) -> tuple[list[Probe], int]:
-    """Return probes of the candidates that oscillate, at the likeliest frequencies, and how many were compared."""
-    own = [(i, c) for i, c in enumerate(contest.candidates) if any(s.unit == "Hz" for s in c.specs)]
+def frequency_probes(contest: Contest, basis: Basis, without: Sequence[int] = ()) -> tuple[list[Probe], int]:
+    """Return probes at the likeliest frequencies of the candidates that oscillate, but some, and how many it compared.
+
+    Effects that the model has already are left out of the response: a frequency is told by its phase over the session.
+    """
+    oscillate = [(i, c) for i, c in enumerate(contest.candidates) if any(s.unit == "Hz" for s in c.specs)]
+    own = [(i, c) for i, c in oscillate if i not in without]
     if not own or not isinstance(contest.case, BranchCase):
         return [], 1
     probes, tried = [], 1

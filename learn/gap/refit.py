@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import torch
 
-from .contest import Contest, Rows, force_box, prior_of
+from .contest import Contest, Rows, prior_of
 
 #: Rows of which derivatives are held at once.
 TOGETHER = 24
 #: Longest step of a free coordinate, in its reach.
 LONGEST = 1.0
+#: Solutions of one step at most, each with the entries held that left their bounds in the one before.
+PASSES = 4
 
 
 @dataclass
@@ -101,24 +103,45 @@ def _absorbed(contest: Contest, residual: torch.Tensor, rows: Rows) -> tuple[tor
 def _step(
     contest: Contest, fits: Fits, residual: torch.Tensor, derivative: torch.Tensor, columns: torch.Tensor
 ) -> Rows:
-    """Return rows moved by a damped Gauss-Newton step, inside the box."""
+    """Return rows moved by a damped Gauss-Newton step, inside the box and no farther than each coordinate's reach."""
     rows = fits.rows
     normal, pull = normal_equations(contest, rows, residual, derivative, columns)
-    p = derivative.shape[1]
     diagonal = normal.diagonal(dim1=1, dim2=2)
     empty = diagonal <= 0.0
-    scale = torch.where(empty, 1.0, diagonal)
-    damped = normal + torch.diag_embed(torch.where(empty, 1.0, scale * fits.damping[:, None]))
-    step = torch.nan_to_num(torch.linalg.solve(damped, pull[..., None])[..., 0][:, :p])
-    most = columns.shape[1]
-    own, local = step[:, :most], step[:, most:]
-    longest = (own / contest.reach[columns.clamp(min=0)]).abs().amax(1, keepdim=True).clamp(min=1e-12)
-    shrink = (LONGEST / longest).clamp(max=1.0)
-    free = rows.free.clone()
-    used = columns >= 0
-    free.scatter_add_(1, columns.clamp(min=0), torch.where(used, own * shrink, 0.0))
-    start = rows.start + (local * shrink).view_as(rows.start) if local.shape[1] else rows.start
-    return Rows(force_box(contest, free), rows.active, start, rows.weight)
+    damped = normal + torch.diag_embed(torch.where(empty, 1.0, diagonal * fits.damping[:, None]))
+    used, at, most = columns >= 0, columns.clamp(min=0), columns.shape[1]
+    low, high = (torch.full_like(pull, x) for x in (-torch.inf, torch.inf))
+    here, longest = torch.gather(rows.free, 1, at), LONGEST * contest.reach[at]
+    low[:, :most] = torch.maximum(contest.low[at] - here, -longest)
+    high[:, :most] = torch.minimum(contest.high[at] - here, longest)
+    step = bounded(damped, pull, low, high)
+    free = rows.free.scatter_add(1, at, torch.where(used, step[:, :most], 0.0))
+    local = step[:, most : derivative.shape[1]]
+    start = rows.start + local.view_as(rows.start) if local.shape[1] else rows.start
+    return Rows(free, rows.active, start, rows.weight)
+
+
+def bounded(matrix: torch.Tensor, right: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torch.Tensor:
+    """Solve ``matrix x = right`` [S, p] with x between ``low`` and ``high``.
+
+    Entries that leave their bounds are held there and the others solved anew. To cut them off alone, or to shorten the
+    whole step, would stop a fit at the first bound that it touches, or let one entry that the data do not show hold
+    up all others.
+    """
+    held = torch.zeros_like(right, dtype=torch.bool)
+    out = torch.zeros_like(right)
+    for _ in range(PASSES):
+        known = torch.where(held, out, 0.0)
+        rest = torch.where(held, out, right - (matrix @ known[..., None])[..., 0])
+        apart = held[:, :, None] | held[:, None]
+        own = torch.where(apart, torch.diag_embed(held.to(matrix)), matrix)
+        exact = torch.nan_to_num(torch.linalg.solve(own, rest[..., None])[..., 0])
+        out = torch.maximum(torch.minimum(exact, high), low)
+        left = held | (out != exact)
+        if bool((left == held).all()):
+            break
+        held = left
+    return out
 
 
 def normal_equations(

@@ -17,12 +17,14 @@ from .frequencies import frequency_probes
 from .refit import Fits, evaluated, fit
 from .scan import Basis, Scan, all_probes, look, start_rows
 
-#: Candidates that set out from two points, those that go on after each round, and the iterations of the rounds.
+#: Candidates that set out from two points, those that go on after each round, and the most iterations of the rounds.
+#: The last goes on until all have settled: a law with three parameters that is cut short loses to one with two.
 FIELD = (14, 7, 4)
-ITERATIONS = (4, 4, 8)
+ITERATIONS = (4, 4, 24)
 #: Points of a candidate that are simulated. It sets out from the best of them, the base as fitted; and from the first
 #: with the base at its typical values, for a base that was bent to stand in for an effect may be a trap.
-STARTS = 4
+#: The first few candidates set out from all of these points: an axis that may turn has side minima.
+STARTS, WIDELY = 4, 6
 #: Models to which a further effect is tried.
 LEADERS = 3
 
@@ -82,7 +84,7 @@ def first_look(
 ) -> tuple[Basis, Scan]:
     """Look at all candidates beside a fitted model; ``nulls`` [V, N] are further residuals to be explained."""
     basis = Basis(contest, fits)
-    oscillating, compared = frequency_probes(contest, basis) if not without else ([], 1)
+    oscillating, compared = frequency_probes(contest, basis, without)
     probes = [*all_probes(contest, without), *oscillating]
     residuals = basis.residual[None] if nulls is None else torch.cat([basis.residual[None], nulls])
     scan = look(contest, basis, probes, residuals)
@@ -169,10 +171,11 @@ def _field(
     starts = [_starts(contest, *looks[promised[key][1]][:2], promised[key][2]) for key in keys]
     cost = evaluated(contest, Rows.joined(starts)).cost.split([len(s) for s in starts])
     rows, members = [], []
-    for key, own, misfit in zip(keys, starts, cost, strict=True):
-        rows.append(own[misfit.argmin()[None]])
-        members.append(key)
-        if len(members) < 2 * FIELD[0]:
+    for n, (key, own, misfit) in enumerate(zip(keys, starts, cost, strict=True)):
+        from_points = misfit.argsort()[: STARTS if n < WIDELY else 1]
+        rows.append(own[from_points])
+        members += [key] * len(from_points)
+        if n < FIELD[0]:
             rows.append(own[slice(0, 1)])
             rows[-1].free[:, : contest.num_base] = contest.centre[: contest.num_base]
             members.append(key)

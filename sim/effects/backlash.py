@@ -4,55 +4,57 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, norm, sub
-from ...kernels.real import fma, real, sqrt_, where_neg
+from ...kernels.algebra import add, div, dot, mul, sub
+from ...kernels.real import fma, real, sqrt_
 from .registry import Effect, EffectParameter, Law, register
 
 
 @wp.func
+def lacking(square: Any, gap: Any, e: Any):
+    """2 x / (1 + x + sqrt((1 - x)^2 + 4 e x)), x = gap / sqrt(square): min(1, x), its corner rounded by e."""
+    one = real(1.0, gap)
+    x = gap / sqrt_(square + real(1.0e-20, gap))
+    inside = one - x
+    return (x + x) / (one + x + sqrt_(fma(inside, inside, real(4.0, gap) * e * x)))
+
+
+@wp.func
 def backlash(j: Any, p: Any, r: Any):
-    """tau = +K phi min(1, g / |phi|): the spring is left -K (phi - g phi / |phi|) outside the gap, 0 inside."""
+    """tau = +K phi min(1, g / |phi|), rounded: of the spring -K (phi - g phi / |phi|) is left, 0 inside the gap."""
     o = real(0.0, p.a)
-    one = real(1.0, o)
-    share = p.a / norm(j.angle)
-    share = where_neg(one - share, one, share)
+    share = lacking(dot(j.angle, j.angle), p.a, p.b)
     return type(r)(j.angle * (j.stiffness * share), r.memory, o, o)
 
 
 @wp.func
 def backlash_ball(j: Any, p: Any, r: Any):
-    """tau_k = +K phi_k min(1, g / r_k) with r_k^2 = (1 - m) |phi|^2 + m phi_k^2: one gap, or one about each axis."""
+    """tau_k = +K phi_k min(1, g / r_k), rounded, with r_k^2 = (1 - m) |phi|^2 + m phi_k^2: one gap, or one an axis."""
     o = real(0.0, p.a)
     a = j.angle
-    joint = (real(1.0, o) - p.b) * dot(a, a) + real(1.0e-20, o)
+    joint = (real(1.0, o) - p.b) * dot(a, a)
     torque = type(a)(
-        a.x * inside(joint + p.b * a.x * a.x, p.a),
-        a.y * inside(joint + p.b * a.y * a.y, p.a),
-        a.z * inside(joint + p.b * a.z * a.z, p.a),
+        a.x * lacking(joint + p.b * a.x * a.x, p.a, p.c),
+        a.y * lacking(joint + p.b * a.y * a.y, p.a, p.c),
+        a.z * lacking(joint + p.b * a.z * a.z, p.a, p.c),
     )
     return type(r)(torque * j.stiffness, r.memory, o, o)
 
 
-@wp.func
-def inside(square: Any, gap: Any):
-    """min(1, gap / sqrt(square))."""
-    one = real(1.0, gap)
-    share = gap / sqrt_(fma(square, one, real(0.0, gap)))
-    return where_neg(one - share, one, share)
-
-
 _GAP = EffectParameter("gap_rad", "rad", lambda s: 0.005 * s.angle, lambda s: 0.8 * s.angle, scale="log")
+_SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=1)
+_ROUNDING = EffectParameter("rounding", "1", 0.0, 0.3, tries=1, optional=True)
 
 EFFECT = register(
     Effect(
         name="backlash",
-        summary="no spring within an angle g of rest, where the pre-load alone holds the joint; beyond, -K (|phi| - g);"
-        " at a ball joint the gap is round, or square where each axis of the segment plays by itself, or between",
+        summary="no spring within an angle g of rest, where the pre-load alone holds the joint; beyond, -K (|phi| - g),"
+        " the corner rounded where the edges of the gap are not hard; at a ball joint the gap is round, or square where"
+        " each axis of the segment plays by itself, or between",
         source="Nordin & Gutman 2002, Automatica 38:1633, section 2 (dead zone)",
         signature="loose about rest and stiff beyond it; slow last swings",
         mistaken_for=("cubic_stiffness", "bilinear_stiffness"),
         probe="small pushes about rest beside large ones",
-        branch=Law("joint", (_GAP, EffectParameter("separate", "1", 0.0, 1.0, tries=1)), backlash_ball),
-        joint=Law("joint", (_GAP,), backlash),
+        branch=Law("joint", (_GAP, _SEPARATE, _ROUNDING), backlash_ball),
+        joint=Law("joint", (_GAP, _ROUNDING), backlash),
     )
 )

@@ -32,7 +32,7 @@ EFFECT = register(
         branch=Law(
             "joint",
             (
-                EffectParameter("coupling", "1", -0.75, 0.75, tries=2),
+                EffectParameter("coupling", "1", -0.95, 0.95, tries=2),
                 axis_parameter(circle=False, tries=6),
             ),
             bending_torsion_coupling,

@@ -4,16 +4,30 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, sub
+from ...kernels.algebra import add, div, dot, mul, rotate, sub, unrotate
 from ...kernels.real import real, sqrt_
+from .flow import ACROSS, across
 from .registry import Effect, EffectParameter, Law, register
 
 
 @wp.func
 def drag_on_link(b: Any, p: Any):
-    """F = -c A |v| v at the centre of the projected area A."""
+    """F = -c A |u| u, u = v - m (v.d) d: the share m of what moves along the segment d does not count.
+
+    Of it the share s is felt along each axis of the segment by itself, as by the faces of a box: -c A |u_k| u_k.
+    """
     o = real(0.0, p.a)
-    return b.velocity * (o - p.a * b.area * sqrt_(dot(b.velocity, b.velocity)))
+    u = across(b.velocity, b.arm, p.b)
+    own = unrotate(b.turn, u)
+    faces = type(u)(own.x * size(own.x), own.y * size(own.y), own.z * size(own.z))
+    whole = u * ((real(1.0, o) - p.c) * sqrt_(dot(u, u)))
+    return (whole + rotate(b.turn, faces) * p.c) * (o - p.a * b.area)
+
+
+@wp.func
+def size(a: Any):
+    """Return |a|."""
+    return sqrt_(a * a)
 
 
 @wp.func
@@ -25,8 +39,11 @@ def drag_at_joint(j: Any, p: Any, r: Any):
 EFFECT = register(
     Effect(
         name="quadratic_drag",
-        summary="a force -c A |v| v on every segment of projected area A; at a measured joint a torque -c |w| w",
-        source="Rayleigh 1876; Batchelor, An Introduction to Fluid Dynamics (1967), section 5.11",
+        summary="a force -c |v| v per projected area all along every segment; the share m of the motion counts only as"
+        " far as it is across the segment, and a share of the force may act along each axis of the segment by itself;"
+        " at a measured joint a torque -c |w| w",
+        source="Rayleigh 1876; Batchelor, An Introduction to Fluid Dynamics (1967), section 5.11; Hoerner,"
+        " Fluid-Dynamic Drag (1965), 3-11 (cross-flow principle)",
         signature="large swings decay faster than small ones: 1 / amplitude grows linearly in time",
         mistaken_for=("dry_friction", "viscoelastic_sls"),
         probe="free swings from a large and a small deflection",
@@ -40,6 +57,8 @@ EFFECT = register(
                     lambda s: 10.0 * s.force / (s.area * s.speed**2),
                     scale="log",
                 ),
+                ACROSS,
+                EffectParameter("separate", "1", 0.0, 1.0, tries=1, optional=True),
             ),
             drag_on_link,
             per_joint=False,

@@ -4,8 +4,9 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, norm, sub
-from ...kernels.real import fma, real
+from ...kernels.algebra import add, div, mul, norm, sub
+from ...kernels.real import real
+from .flow import ACROSS, across
 from .registry import Effect, EffectParameter, Law, register
 
 
@@ -16,11 +17,8 @@ def pressed(q: Any, b: Any, m: Any):
     Air that flows along a rod hardly moves it: with m = 1 what flows across it alone counts, squared (cross-flow
     principle); with m = 0 the force is A q however the segment lies.
     """
-    o = real(0.0, m)
-    one = real(1.0, o)
     size = norm(q)
-    n = q * (one / size)
-    u = n - b.arm * (m * dot(n, b.arm) / fma(dot(b.arm, b.arm), one, real(1.0e-20, o)))
+    u = across(q * (real(1.0, m) / size), b.arm, m)
     return u * (size * b.area * norm(u))
 
 
@@ -29,8 +27,6 @@ def steady_wind(b: Any, p: Any):
     """F of the pressure q (x, y, z), m of it across the segment."""
     return pressed(type(b.velocity)(p.a, p.b, p.c), b, p.d)
 
-
-ACROSS = EffectParameter("across", "1", 0.0, 1.0, tries=2, optional=True)
 
 EFFECT = register(
     Effect(

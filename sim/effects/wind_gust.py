@@ -6,8 +6,9 @@ import warp as wp
 
 from ...kernels.algebra import add, div, mul, sub
 from ...kernels.real import cos_root, fma, fnma, real, round_, sin_ratio
+from .flow import ACROSS
 from .registry import Effect, EffectParameter, Law, register
-from .steady_wind import ACROSS, pressed
+from .steady_wind import pressed
 
 PI = wp.constant(wp.float64(3.141592653589793))
 

@@ -157,6 +157,21 @@ def test_backlash_flies_through_the_gap(tmp_path):
     np.testing.assert_allclose(q[back], gap - rate * (t[back] - hit - half), atol=5e-3)
 
 
+@pytest.mark.parametrize("rounding", [0.05, 0.2])
+def test_backlash_with_worn_edges(tmp_path, rounding):
+    """Settle where K (phi - phi s) = M with 1 / s = min(1, g / phi) rounded: x^2 e's parabola, the larger root."""
+    gap, moments = 0.3, np.array([0.8, 4.0, 16.0])
+    case = swing_case(tmp_path / "c", [(0.0, 0.0)], duration=24.0,
+                      torque=lambda t: moments[np.minimum(t / 8.0, 2.0).astype(int)])  # fmt: skip
+    out = simulate(case, K, 8.0, start=[0, 0], backlash={"gap_rad": gap, "rounding": rounding})[0]
+    t = case.trajectories[0].t
+    for k, moment in enumerate(moments):
+        phi = out[np.argmax(t > 8.0 * k + 7.9), 0]
+        # the share s solves (1 - e) s^2 - (1 + g / phi) s + g / phi = 0: with e = 0 its roots are 1 and g / phi
+        share = np.roots([1 - rounding, -(1 + gap / phi), gap / phi]).min()
+        assert K * phi * (1 - share) == pytest.approx(moment, rel=0.01)
+
+
 def test_plastic_set_stays(tmp_path):
     """Push quasi-statically beyond the yield angle: phi (1 - s) = M / K - s y, and s (phi - y) stays."""
     s, y, M = 0.4, 0.1, 16.0
@@ -296,7 +311,7 @@ def test_wind_gust_drives_at_its_frequency(tmp_path):
 
 
 def test_drag_on_links_makes_one_over_amplitude_linear(tmp_path):
-    """Lose amplitude after a release as the closed form for torque c A r^3 |w| w says."""
+    """Lose amplitude after a release as the closed form for the torque |w| w c int d s^3 ds of the whole stick says."""
     force = np.where(np.arange(400)[:, None] < 50, held(400, np.array([3.0, 0, 0])), 0.0)
     case = stick_case(tmp_path / "c", [force], gravity=0.0, elevation=90.0, azimuth=0.0)
     stiffness, c = 8.0, 40.0
@@ -305,14 +320,14 @@ def test_drag_on_links_makes_one_over_amplitude_linear(tmp_path):
     quiet = simulate(case, stiffness, 0.013, form="branch", without=("base_compliance",))[0]
     t = case.trajectories[0].t
     a, b = case.radius[0]
-    lever, area = case.length[0] * (a + 2 * b) / (3 * (a + b)), case.length[0] * (a + b)
+    sweep = case.length[0] ** 4 * (a / 10 + 2 * b / 5)  # of the diameter 2 a + 2 (b - a) s / L
     free = t > 1.1
     time, tops = peaks(t[free], np.arcsin(out[free, 0] / 0.4))
     again, bare = peaks(t[free], np.arcsin(quiet[free, 0] / 0.4))
     w = np.pi / np.diff(again).mean()
     decay = -np.polyfit(again, np.log(np.abs(bare)), 1)[0]  # the linear damper's own, measured
     J_ = stiffness / w**2
-    k = 4 * c * area * lever**3 * w / (3 * np.pi * J_)
+    k = 4 * c * sweep * w / (3 * np.pi * J_)
     # A' = -decay A - k A^2:  1 / A = (1 / A0 + k / decay) exp(decay t) - k / decay
     since = time - time[0]
     expected = 1 / ((1 / abs(tops[0]) + k / decay) * np.exp(decay * since) - k / decay)

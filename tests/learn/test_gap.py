@@ -10,12 +10,12 @@ import torch
 from bough.learn.case import BranchCase, load_case
 from bough.learn.gap.candidates import Candidate, everywhere, names_for, probes_of
 from bough.learn.gap.contest import Contest, Rows, active_rows
-from bough.learn.gap.decide import Field, alternatives, chosen, known
+from bough.learn.gap.decide import Field, alternatives, chosen, known, leading
 from bough.learn.gap.diagnose import Diagnoser, Settings, too_loud
 from bough.learn.gap.evidence import family_wise
 from bough.learn.gap.exam import as_text, grades
 from bough.learn.gap.next_probe import ARM_PROBES, best_probe, recordings_of
-from bough.learn.gap.refit import Fits, evaluated, fit
+from bough.learn.gap.refit import Fits, bounded, evaluated, fit
 from bough.learn.gap.scan import Basis, Scan, look
 from bough.learn.gap.search import Model
 from bough.learn.gap.setup import in_pieces
@@ -77,6 +77,27 @@ def test_rows_do_not_feel_each_other(small):
     rows.free[1, : contest.num_base] += 0.5
     together, alone = fit(contest, rows, 2), fit(contest, rows[slice(1, 2)], 2)
     torch.testing.assert_close(together.rows.free[1], alone.rows.free[0], rtol=1e-6, atol=1e-6)
+
+
+def test_a_step_at_a_bound_lets_the_rest_go_on():
+    """Hold x0 = 1 and solve for x1: 2 x1 = 1 - 1; cut off alone it would have stayed at -2/3."""
+    matrix, right = torch.tensor([[[2.0, 1.0], [1.0, 2.0]]]), torch.tensor([[4.0, 1.0]])
+    far = torch.tensor([[9.0, 9.0]])
+    torch.testing.assert_close(bounded(matrix, right, -far, far), torch.tensor([[7 / 3, -2 / 3]]))
+    torch.testing.assert_close(bounded(matrix, right, -far, torch.tensor([[1.0, 9.0]])), torch.tensor([[1.0, 0.0]]))
+
+
+def test_bounded_steps_stay_inside_and_leave_no_slope_between_bounds():
+    """Solve 500 systems of three: entries between their bounds have no slope left, some of each kind."""
+    generator = torch.Generator().manual_seed(0)
+    root = torch.randn(500, 3, 4, dtype=torch.float64, generator=generator)
+    matrix, right = root @ root.transpose(1, 2), torch.randn(500, 3, dtype=torch.float64, generator=generator)
+    high = torch.rand(500, 3, dtype=torch.float64, generator=generator)
+    x = bounded(matrix, right, -high, high)
+    slope = (matrix @ x[..., None])[..., 0] - right
+    between = x.abs() < high
+    assert bool((x.abs() <= high).all()) and 100 < int(between.sum()) < 1400
+    assert float(slope[between].abs().max()) < 1e-9 * float(matrix.abs().max())
 
 
 def test_gain_is_what_a_linear_model_would_explain(small):
@@ -166,10 +187,31 @@ def test_a_further_effect_must_explain_much_of_what_is_left():
     assert chosen(field_of({(0,): 1800, (0, 2): 1020}), 1).members == (0,)
 
 
+def test_a_small_further_effect_must_end_the_search():
+    """Add one worth a twentieth of the gap where it leaves noise, not where it removes half of what is left."""
+    assert chosen(field_of({(0,): 1150, (0, 2): 1005}), 2).members == (0, 2)
+    assert chosen(field_of({(0,): 1150, (0, 2): 1075}), 2).members == (0,)
+    assert chosen(field_of({(0,): 1060, (0, 2): 1001}), 2).members == (0,)  # passes for noise by itself
+
+
+def test_the_nearest_name_is_what_explains_most_alone():
+    """Put forward of two effects the one that does more by itself, wherever it stands."""
+    field = field_of({(0,): 2600, (2,): 1500, (0, 2): 1400})
+    assert leading(field, field.models[2]) == 2 and leading(field, field.models[0]) == 0
+
+
 def test_names_are_claimed_only_where_enough_is_explained():
     """Claim what leaves noise or explains nine tenths of the excess; nothing that explains four fifths."""
     for left, claimed in ((1100, True), (1200, True), (1400, False)):
         field = field_of({(0,): left})
+        assert known(field, field.models[0]) is claimed
+
+
+def test_one_law_at_two_joints_must_explain_nearly_all():
+    """Claim friction at two joints of a branch where it leaves next to nothing, not where it leaves a twentieth."""
+    for left, claimed in ((1040, True), (1100, False)):
+        field = field_of({(0, 2): left})
+        field.contest.candidates[2] = field.contest.candidates[0]
         assert known(field, field.models[0]) is claimed
 
 

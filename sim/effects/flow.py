@@ -1,0 +1,19 @@
+"""What laws of moving air and moving segments share."""
+
+from typing import Any
+
+import warp as wp
+
+from ...kernels.algebra import add, div, dot, mul, sub
+from ...kernels.real import fma, real
+from .registry import EffectParameter
+
+#: Share of a flow that counts only as far as it is across a segment (cross-flow principle).
+ACROSS = EffectParameter("across", "1", 0.0, 1.0, tries=2, optional=True)
+
+
+@wp.func
+def across(v: Any, d: Any, m: Any):
+    """v - m (v.d) d / d.d: what flows along a segment d does not count, in the share m."""
+    o = real(0.0, m)
+    return v - d * (m * dot(v, d) / fma(dot(d, d), real(1.0, o), real(1.0e-20, o)))
