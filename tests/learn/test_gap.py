@@ -282,6 +282,14 @@ def test_hidden_effect_is_named(tmp_path, name, joint, noise):
     assert repaired < 1.3 * floor and repaired**2 - floor**2 < 0.5 * (base**2 - floor**2)
 
 
+def test_a_gust_is_found_beside_what_hides_it(tmp_path):
+    """Name both of a pair of which the frequency of one can only be seen once the other is known."""
+    found = diagnosed(tmp_path / "case", effects=("bending_torsion_coupling", "wind_gust"), joint=1, seed=5, noise=0.03,
+                      size=0.25)  # fmt: skip
+    assert sorted(a.name for a in found.effects) == ["bending_torsion_coupling", "wind_gust"], found.sentence
+    assert found.gap.repaired < 0.25 * found.gap.base  # 0.11 is the floor; the hidden gust wobbles
+
+
 def test_effect_on_no_list_is_unknown(tmp_path):
     """Claim no name where a sensor's axes have different gains, and say which comes nearest."""
     found = diagnosed(tmp_path / "case", outside="displacement_gain_error", seed=5, noise=0.03, size=0.25)
