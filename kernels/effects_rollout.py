@@ -87,13 +87,17 @@ def shifted(
 
 
 @wp.func
-def slid(fx: Any, e: int, k: int, force: Any, mobility: Any, least: Any, low: wp.float64, high: wp.float64, h: Any):
-    """Advance how far the grip has slid [m]: rate = mobility (|F| - least) towards the tip, inside the segment."""
+def slid(fx: Any, e: int, k: int, force: Any, p: Any, peak: Any, low: wp.float64, high: wp.float64, h: Any):
+    """Advance how far the grip has slid [m]: rate = a (n x + (1 - n) 1 N) towards the tip, inside the segment.
+
+    It slides while the excess x = |F| - b - c F_peak is positive; F_peak is the largest force of the recording.
+    """
     z = fx.memory[e, k]
-    o = real(0.0, mobility)
-    size = norm(force)
-    excess = where_neg(size - least, o, size - least)
-    new = fma(excess * mobility, h, z.x)
+    o = real(0.0, p.a)
+    one = real(1.0, o)
+    excess = norm(force) - fma(p.c, peak, p.b)
+    rate = where_neg(excess, o, p.a * fma(p.d, excess, one - p.d))
+    new = fma(rate, h, z.x)
     bottom = real(low, o)
     top = real(high, o)
     new = where_neg(new - bottom, bottom, new)
@@ -106,13 +110,13 @@ def slid(fx: Any, e: int, k: int, force: Any, mobility: Any, least: Any, low: wp
 def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamespace:
     """Return ``point`` and ``joint`` as `rollout.rollout_kernels` does, with the given terms in the step.
 
-    Beside the laws, the replay itself carries out ``time_delay`` (lag [s]), ``grasp_slip`` (mobility [m/(N s)], least
-    force [N]) and ``tip_mass`` (mass [kg]); parameters stand at their term's slot.
+    Beside the laws, the replay itself carries out ``time_delay`` (lag [s]), ``grasp_slip`` (see `slid`) and
+    ``tip_mass`` (mass [kg]); parameters stand at their term's slot.
     """
     parts = step_of(width, precision, terms)
     t, key, advance, force_law = parts.types, parts.key, parts.advance, parts.force
     Model, State, Load, Scratch, Real, Vec, Quat = t.Model, t.State, t.Load, t.Scratch, t.Real, t.Vec, t.Quat
-    Effects, ForceState = t.Effects, t.ForceState
+    Effects, ForceState, Parameters = t.Effects, t.ForceState, t.Parameters
     slots = {term.kind: term.slot for term in terms}
     has_tip, tip_slot = parts.has_tip, parts.tip_slot
     has_slip, slip_slot = int("grasp_slip" in slots), slots.get("grasp_slip", 0)
@@ -229,9 +233,10 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
         """Push links at their load points as recorded (force x, y, z and whether the gripper holds, 1 or 0).
 
         Worlds that are blown come to rest under the wind first; displacement is counted from the calm pose all the
-        same. ``grip`` [recordings, 8] holds the grasp point and the segment's direction in the link's frame, and how
-        far the grip may slide down (negative) and up. With ``track`` 1 the joints' coordinates are written too. A
-        recording is written at sample ``offset``, or not where that is negative.
+        same. ``grip`` [recordings, 12] holds the grasp point and the segment's direction in the link's frame, how far
+        the grip may slide down (negative) and up, where it is in the world, and the largest force. With ``track`` 1
+        the joints' coordinates are written too. A recording is written at sample ``offset``, or not where that is
+        negative.
         """
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
@@ -311,11 +316,13 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
                         if wp.static(has_slip):
                             if fx.active[e, slip_slot] == 1:
                                 q = slip_slot * PARAMETERS * fx.stride
-                                mobility = fx.parameter[e, q]
-                                least = fx.parameter[e, q + fx.stride]
+                                law = Parameters(
+                                    fx.parameter[e, q], fx.parameter[e, q + fx.stride],
+                                    fx.parameter[e, q + 2 * fx.stride], fx.parameter[e, q + 3 * fx.stride], o, o,
+                                )  # fmt: skip
                                 far = slid(
-                                    fx, e, slip_row * fx.stride, acting, mobility, least, grip[j, 6], grip[j, 7],
-                                    real(h, o),
+                                    fx, e, slip_row * fx.stride, acting, law, real(grip[j, 11], o), grip[j, 6],
+                                    grip[j, 7], real(h, o),
                                 )  # fmt: skip
                                 u_out.point[e, place] = add_scaled(nominal, along, far)
                         since = wp.float64(k * substeps + step) * h

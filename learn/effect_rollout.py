@@ -190,8 +190,8 @@ def _grip(rollout: Rollout, recording: Recording) -> Array:
     """Where a branch is held.
 
     Returns:
-        Grasp point [m] and segment's axis in the link's frame, the way down (negative) and up to its ends [m], and the
-        point in the world in the given pose [m], shape [11].
+        Grasp point [m] and segment's axis in the link's frame, the way down (negative) and up to its ends [m], the
+        point in the world in the given pose [m], and the recording's largest force [N], shape [12].
     """
     plant = rollout.plant
     assert isinstance(plant, BranchPlant)
@@ -202,7 +202,7 @@ def _grip(rollout: Rollout, recording: Recording) -> Array:
     along = quat_rotate(inverse, np.array([0.0, 0.0, 1.0]))
     return np.concatenate([
         links.in_link_frame(link, point), along, [-point[2], branch.length[segment] - point[2]],
-        branch.lower_end[segment] + point[2] * branch.axis[segment],
+        branch.lower_end[segment] + point[2] * branch.axis[segment], [np.linalg.norm(recording.input, axis=1).max()],
     ])  # fmt: skip
 
 

@@ -45,9 +45,12 @@ def write_pivot(acting: ActingSet, columns: torch.Tensor, least: float, model: M
     compliance = acting.value("base_compliance", "compliance_radpNm", columns)
     relaxation = acting.value("base_compliance", "relaxation_s", columns)
     inertia = acting.value("base_compliance", "inertia_kgm2", columns)
+    twist = acting.value("base_compliance", "twist", columns)
     free = compliance > 0.0
     spring = torch.where(free, 1.0 / torch.where(free, compliance, 1.0), 0.0)
     place = int(model.link_place[0])
     write("stiffness", place, 0, spring)
     write("damping", place, 0, spring * relaxation.clamp(min=least))
-    write("armature", place, 0, torch.where(free, inertia, LOCKED).to(spring.dtype))
+    write("armature", place, 0, torch.where(free, 0.0, LOCKED).to(spring.dtype))
+    for c, share in enumerate((1.0, 1.0, twist)):  # about the level axes and about the trunk's own
+        write("inertia", place, c, torch.where(free, inertia * share, 0.0).to(spring.dtype))

@@ -30,7 +30,7 @@ FURTHER, FURTHER_SHARE, FURTHER_SHARE_TORQUE = 20.0, 0.3, 0.1
 #: Least share of the base's excess that a further effect must explain: laws differ in form from what they stand for, by
 #: a quarter of what they do, and an effect that only makes up for that is none. One that explains at least the second
 #: share of what is left does not: no law makes up for another one's form so well.
-WORTH, NEARLY_ALL = 0.08, 0.7
+WORTH, NEARLY_ALL = 0.1, 0.93
 #: Least share of a branch's excess that the same law at two joints must explain to be named.
 TWICE = 0.97
 #: Models this little behind the best in the information criterion cannot be told from it.

@@ -30,12 +30,15 @@ class Scan:
         gain: Squares explained beside the model, shape [residuals, probes].
         strength: Coefficients of the columns of each probe for the first residual, a tensor [q] each.
         compared: How many probes each stands for, having been chosen for its gain, shape [probes].
+        taken: What the model's own parameters would have to change by to do as each probe at that strength, shape
+            [probes, parameters]; with the effect there they do the opposite.
     """
 
     probes: list[Probe]
     gain: torch.Tensor
     strength: list[torch.Tensor]
     compared: list[int]
+    taken: torch.Tensor
 
     def best(self, candidate: int, count: int) -> list[int]:
         """Return the probes of a candidate that explain most of the first residual, best first."""
@@ -88,16 +91,18 @@ def look(contest: Contest, basis: Basis, probes: Sequence[Probe], residuals: tor
     out = contest.simulate(contest.values(moved), moved.start)
     change = contest.whiten(out - contest.simulate(contest.values(basis.fit.rows), basis.fit.rows.start)).flatten(1)
     weight = basis.fit.rows.weight[0]
-    change = basis.free_of(change * weight.repeat_interleave(change.shape[1] // len(weight)))
+    change = change * weight.repeat_interleave(change.shape[1] // len(weight))
+    imitated, change = basis.taken_by(change)[:, : len(basis.columns)], basis.free_of(change)
     left = basis.free_of(residuals)
     gain = left.new_zeros(len(residuals), len(probes))
-    strength = []
+    strength, taken = [], []
     for k, probe in enumerate(probes):
         own = change[owner == k]
         found, explained = _explained(own, left, bounded=not probe.moved)
         gain[:, k] = explained
         strength.append(found[0])
-    return Scan(list(probes), gain, strength, [1] * len(probes))
+        taken.append(found[0] @ imitated[owner == k])
+    return Scan(list(probes), gain, strength, [1] * len(probes), torch.stack(taken))
 
 
 def _explained(columns: torch.Tensor, left: torch.Tensor, *, bounded: bool) -> tuple[torch.Tensor, torch.Tensor]:
@@ -140,7 +145,19 @@ def step_of(contest: Contest, candidate: Candidate, entry: int) -> float:
 
 
 def start_rows(contest: Contest, basis: Basis, scan: Scan, chosen: Sequence[int]) -> Rows:
-    """Return rows that set out from probes, the effect at the strength that the scan found and the rest answering."""
+    """Return rows that set out from probes at the strength that the scan found, twice each.
+
+    First the model's own parameters are as they were fitted, then they make up for what they did in the effect's stead.
+    """
+    plain = _with_effects(contest, basis, scan, chosen)
+    answered, columns = plain.copy(), basis.columns
+    reach = contest.reach[columns]
+    moved = answered.free[:, columns] - torch.maximum(torch.minimum(scan.taken[list(chosen)], reach), -reach)
+    answered.free[:, columns] = torch.maximum(torch.minimum(moved, contest.high[columns]), contest.low[columns])
+    return Rows.joined([plain, answered])
+
+
+def _with_effects(contest: Contest, basis: Basis, scan: Scan, chosen: Sequence[int]) -> Rows:
     rows = basis.fit.rows[torch.zeros(len(chosen), dtype=torch.long, device=contest.place)]
     for s, k in enumerate(chosen):
         probe, strength = scan.probes[k], scan.strength[k]

@@ -17,13 +17,14 @@ from .frequencies import frequency_probes
 from .refit import Fits, evaluated, fit
 from .scan import Basis, Scan, all_probes, look, start_rows
 
-#: Candidates that set out from two points, those that go on after each round, and the most iterations of the rounds.
-#: The last goes on until all have settled: a law with three parameters that is cut short loses to one with two.
-FIELD = (14, 7, 4)
+#: Further effects that set out beside a model, the candidates that go on after each round, and the most iterations of
+#: the rounds. The last goes on until all have settled: a law of three parameters cut short loses to one of two.
+FIELD = (14, 10, 5)
 ITERATIONS = (4, 4, 24)
-#: Points of a candidate that are simulated. It sets out from the best of them, the base as fitted; and from the first
-#: with the base at its typical values, for a base that was bent to stand in for an effect may be a trap.
-#: The first few candidates set out from all of these points: an axis that may turn has side minima.
+#: Fits of one candidate that go on after the first and after the second round: what leads early may be a side minimum.
+SIDES = (3, 2)
+#: Points of a candidate that are simulated, each with the base as fitted and as it would be with the effect there. It
+#: sets out from the best of them; the first few candidates from as many, for an axis that turns has side minima.
 STARTS, WIDELY = 4, 6
 #: Models to which a further effect is tried.
 LEADERS = 3
@@ -156,30 +157,37 @@ def _field(
 ) -> tuple[Rows, list[tuple[int, ...]]]:
     """Rows that set out, and their members: the candidates that promise the least misfit, from their best probes.
 
-    With ``every`` the others set out too, from one point each: a base that an effect has bent far enough hides that
-    effect from the scan.
+    With ``every`` the others set out too: a base that an effect has bent far enough hides that effect from the scan,
+    and may be a trap for its fits, which therefore set out beside the base at its typical values as well.
     """
-    promised: dict[tuple[int, ...], tuple[float, int, int]] = {}
+    promised = _promised(contest, looks)
+    keys = sorted(promised, key=lambda key: promised[key][0])[: None if every else FIELD[0]]
+    starts = [_starts(contest, *looks[promised[key][1]][:2], promised[key][2]) for key in keys]
+    cost = evaluated(contest, Rows.joined(starts)).cost.split([len(s) for s in starts])
+    rows: list[Rows] = []
+    members: list[tuple[int, ...]] = []
+    for n, (key, own, misfit) in enumerate(zip(keys, starts, cost, strict=True)):
+        rows.append(own[misfit.argsort()[: STARTS if n < WIDELY else 1]])
+        if every or n < FIELD[0]:
+            rows.append(own[slice(0, 1)])
+            rows[-1].free[:, : contest.num_base] = contest.centre[: contest.num_base]
+        members += [key] * (sum(map(len, rows)) - len(members))
+    return Rows.joined(rows), members
+
+
+def _promised(
+    contest: Contest, looks: Sequence[tuple[Basis, Scan, tuple[int, ...]]]
+) -> dict[tuple[int, ...], tuple[float, int, int]]:
+    """Return by members the least misfit that a scan promises, which of the looks it was, and what is new in it."""
+    out: dict[tuple[int, ...], tuple[float, int, int]] = {}
     for n, (basis, scan, beside) in enumerate(looks):
         for c in {p.candidate for p in scan.probes}:
             k = scan.best(c, 1)[0]
             misfit = float(basis.fit.cost[0]) - float(scan.gain[0, k]) + penalty(contest, [c])
             key = tuple(sorted((*beside, c)))
-            if key not in promised or misfit < promised[key][0]:
-                promised[key] = (misfit, n, c)
-    keys = sorted(promised, key=lambda key: promised[key][0])[: None if every else FIELD[0]]
-    starts = [_starts(contest, *looks[promised[key][1]][:2], promised[key][2]) for key in keys]
-    cost = evaluated(contest, Rows.joined(starts)).cost.split([len(s) for s in starts])
-    rows, members = [], []
-    for n, (key, own, misfit) in enumerate(zip(keys, starts, cost, strict=True)):
-        from_points = misfit.argsort()[: STARTS if n < WIDELY else 1]
-        rows.append(own[from_points])
-        members += [key] * len(from_points)
-        if n < FIELD[0]:
-            rows.append(own[slice(0, 1)])
-            rows[-1].free[:, : contest.num_base] = contest.centre[: contest.num_base]
-            members.append(key)
-    return Rows.joined(rows), members
+            if key not in out or misfit < out[key][0]:
+                out[key] = (misfit, n, c)
+    return out
 
 
 def _starts(contest: Contest, basis: Basis, scan: Scan, candidate: int) -> Rows:
@@ -199,14 +207,14 @@ def _halved(contest: Contest, rows: Rows, members: list[tuple[int, ...]], progre
     done: dict[tuple[int, ...], Model] = {}
     for round_, iterations in enumerate(ITERATIONS):
         fits = fit(contest, rows, iterations, lambda n: progress("fitting", n))
+        sides: dict[tuple[int, ...], list[Model]] = {key: [] for key in members}
         for s in torch.argsort(fits.cost).tolist():
-            if members[s] not in done or float(fits.cost[s]) < done[members[s]].cost:
-                done[members[s]] = Model(members[s], fits.one(s))
+            sides[members[s]].append(Model(members[s], fits.one(s)))
+        done |= {key: min([*own, done.get(key, own[0])], key=lambda m: m.cost) for key, own in sides.items()}
         ranked = sorted(done, key=lambda key: done[key].cost + penalty(contest, key))
-        if round_ + 1 < len(ITERATIONS):
-            ahead = ranked[: FIELD[round_ + 1]]
-            rows = Rows.joined([done[key].fit.rows for key in ahead])
-            members = list(ahead)
+        if round_ < len(SIDES):
+            ahead = [m for key in ranked[: FIELD[round_ + 1]] for m in sides.get(key, [done[key]])[: SIDES[round_]]]
+            rows, members = Rows.joined([m.fit.rows for m in ahead]), [m.members for m in ahead]
     for key in members:
         done[key].settled = True
     return [done[key] for key in ranked]

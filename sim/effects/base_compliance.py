@@ -6,7 +6,7 @@ EFFECT = register(
     Effect(
         name="base_compliance",
         summary="one more ball joint below the base: a spring of 1 / compliance, a damper of relaxation times"
-        " it, and the inertia of what turns on it",
+        " it, and the inertia of what turns on it, of which a share counts for its twist",
         source="James, Haritos & Ades 2006, Am. J. Bot. 93:1522 (the trunk as a spring below the branch)",
         signature="the grasp point moves as if the base turned: more along the branch than its own joints allow",
         mistaken_for=("cubic_stiffness", "force_scale"),
@@ -30,6 +30,7 @@ EFFECT = register(
                     tries=1,
                 ),
                 EffectParameter("relaxation_s", "s", 1.5e-3, 1.0, 0.02, "log", 0.02, tries=1),
+                EffectParameter("twist", "1", 0.02, 1.0, neutral=1.0, tries=1, optional=True),
             ),
             per_joint=False,
         ),

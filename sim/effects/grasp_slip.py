@@ -5,10 +5,12 @@ from .registry import Effect, EffectParameter, Law, register
 EFFECT = register(
     Effect(
         name="grasp_slip",
-        summary="beyond a least force the grip slides along the segment, towards its tip at a rate of mobility times"
-        " the excess (towards the base where negative), inside the segment's ends; it holds the marked point again in"
-        " the next recording",
-        source="Bingham 1922 (yield, then viscous flow); displacement is that of the point that is held",
+        summary="beyond a least force, part of which may be a share of the recording's largest one, the grip slides"
+        " along the segment, towards its tip at a rate of mobility times the excess (towards the base where negative),"
+        " or, as far as it is not viscous, at the rate of 1 N of excess; inside the segment's ends; it holds the marked"
+        " point again in the next recording",
+        source="Bingham 1922 (yield, then viscous flow); Coulomb 1785 (force that does not grow with the rate);"
+        " displacement is that of the point that is held",
         signature="displacement drifts along the segment while the force is held, and stays away after the release",
         mistaken_for=("viscoelastic_sls", "plastic_set"),
         probe="a long hold of a large force beside one of a small force",
@@ -25,7 +27,9 @@ EFFECT = register(
                     ],
                     reach=lambda s: 5.0 * s.length / (s.force * s.duration),
                 ),
-                EffectParameter("least_N", "N", lambda s: 0.02 * s.force, lambda s: s.force, scale="log", tries=6),
+                EffectParameter("least_N", "N", lambda s: 0.02 * s.force, lambda s: s.force, scale="log", tries=4),
+                EffectParameter("least_share", "1", 0.0, 0.9, tries=lambda s: [0.0, 0.4], optional=True),
+                EffectParameter("viscous", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0, 0.0], optional=True),
             ),
             per_joint=False,
             memory=1,

@@ -423,6 +423,20 @@ def test_grasp_slip_drifts_while_held_and_stays(tmp_path, mobility):
     np.testing.assert_allclose(settled(out), slide(3.98) * case.axis[0], atol=1e-4 * abs(slide(3.98)) + 1e-6)
 
 
+def test_grasp_slip_at_a_rate_that_the_force_does_not_raise(tmp_path):
+    """Slide at mobility times 1 N while the force is beyond half of each recording's largest, large or small."""
+    mobility = -0.02
+    case = stick_case(tmp_path / "c", [held(200) * size for size in (1.0, 0.4)])
+    on = {"mobility_mpNs": mobility, "least_N": 0.0, "least_share": 0.5, "viscous": 0.0}
+    t = case.trajectories[0].t
+    for run, size in zip(stick(case, grasp_slip=on), (1.0, 0.4), strict=True):
+        for k in (80, 180):
+            at = 0.4 + mobility * (t[k] - 0.3)  # half of the force half-way up the rise from 0.1 to 0.5 s
+            expected = resting(case, lambda phi: -KS * phi, lambda R, f=size * FORCE: f, point=at, seen=at)
+            # a step late at the threshold, and 20 ms behind its rest
+            np.testing.assert_allclose(run[k, :3], expected, atol=0.025 * abs(mobility) + 0.02 * abs(mobility))
+
+
 def test_grasp_slip_needs_its_least_force(tmp_path):
     """Give the bits of a grip that holds where the whole force stays below the least."""
     case = stick_case(tmp_path / "c", [held(60), held(60, -FORCE)])

@@ -120,6 +120,9 @@ def test_gain_is_what_a_linear_model_would_explain(small):
     assert float(second.gain[0, 0]) == pytest.approx(float(own @ own), rel=1e-3)
     assert second.strength[0].tolist() == pytest.approx([1.0, 0.0, 0.0], abs=1e-2)
     assert first.gain.shape == (1, 1)
+    # what the base would imitate and what is free of it are the whole column
+    imitated = second.taken[0] @ basis._rows[: len(basis.columns)]
+    torch.testing.assert_close(imitated + own, column[0], rtol=0.0, atol=0.02 * float(column.abs().max()))
 
 
 def test_family_wise_probability_is_uniform_under_the_null():
@@ -129,10 +132,10 @@ def test_family_wise_probability_is_uniform_under_the_null():
     p = []
     for _ in range(400):
         gain = torch.as_tensor(rng.chisquare(1, (49, 30)))
-        p.append(family_wise(Scan(probes, gain, [], [1] * 30), 1.0))
+        p.append(family_wise(Scan(probes, gain, [], [1] * 30, torch.zeros(30, 0)), 1.0))
     assert 0.05 - 4 * 0.011 < np.mean(np.array(p) < 0.05) < 0.05 + 4 * 0.011
     gain[0, 3] = 60.0
-    assert family_wise(Scan(probes, gain, [], [1] * 30), 1.0) < 1e-4
+    assert family_wise(Scan(probes, gain, [], [1] * 30, torch.zeros(30, 0)), 1.0) < 1e-4
 
 
 def test_pieces_keep_the_branch(tmp_path):
