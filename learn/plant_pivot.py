@@ -52,5 +52,5 @@ def write_pivot(acting: ActingSet, columns: torch.Tensor, least: float, model: M
     write("stiffness", place, 0, spring)
     write("damping", place, 0, spring * relaxation.clamp(min=least))
     write("armature", place, 0, torch.where(free, 0.0, LOCKED).to(spring.dtype))
-    for c, share in enumerate((1.0, 1.0, twist)):  # about the level axes and about the trunk's own
-        write("inertia", place, c, torch.where(free, inertia * share, 0.0).to(spring.dtype))
+    for c, own in enumerate((inertia, inertia, inertia * twist)):  # about the level axes and about the trunk's own
+        write("inertia", place, c, torch.where(free, own, 0.0).to(spring.dtype))
