@@ -27,10 +27,10 @@ EXPLAINED_JOINT = 0.6
 EXPLAINED_TORQUE = 0.25
 #: By how much an information criterion must prefer a further effect, and which share of what is left it must explain.
 FURTHER, FURTHER_SHARE, FURTHER_SHARE_TORQUE = 20.0, 0.3, 0.1
-#: Least share of the base's excess that a further effect must explain: laws differ in form from what they stand for, by
-#: a quarter of what they do, and an effect that only makes up for that is none. One that explains at least the second
-#: share of what is left does not: no law makes up for another one's form so well.
-WORTH, NEARLY_ALL = 0.1, 0.93
+#: Least share of the base's excess that a further effect must explain, in a branch and at joints measured directly:
+#: laws differ in form from what they stand for, by a quarter of what they do, and an effect that only makes up for that
+#: is none. One that explains the third share of what is left need not: no law makes up for another one's form so well.
+WORTH, WORTH_JOINT, NEARLY_ALL = 0.1, 0.08, 0.93
 #: Least share of a branch's excess that the same law at two joints must explain to be named.
 TWICE = 0.97
 #: Models this little behind the best in the information criterion cannot be told from it.
@@ -94,6 +94,7 @@ def chosen(field: Field, most: int) -> Model:
     """
     best = next(iter(field.of_size(1)), field.base)
     share = FURTHER_SHARE_TORQUE if fits_torque(field.contest.case) else FURTHER_SHARE
+    worth = WORTH if isinstance(field.contest.case, BranchCase) else WORTH_JOINT
     for count in range(2, most + 1):
         further = field.of_size(count)
         if not further:
@@ -105,7 +106,7 @@ def chosen(field: Field, most: int) -> Model:
         if gained < FURTHER or removed < share * max(left, 0.0):
             break
         ends = needs_more(field, best) and removed > NEARLY_ALL * left
-        if not ends and field.explained(trial) - field.explained(best) < WORTH:
+        if not ends and field.explained(trial) - field.explained(best) < worth:
             break
         best = trial
     return best
