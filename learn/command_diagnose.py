@@ -8,6 +8,7 @@ from pathlib import Path
 import tyro
 
 from ..sim.console import bars, shown, start_warp, warn
+from .gap import TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Diagnose:
     case: tyro.conf.Positional[Path]
     out: Path
     effects: tuple[str, ...] = ()
-    tolerance: float = 0.0075
+    tolerance: float = TOLERANCE
     max_effects: int = 2
     seed: int = 0
     resume: bool = False

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from ...sim.errors import InputError
 from ...sim.tree import Array
 from ..case import BranchCase, JointCase
+from . import TOLERANCE
 
 if TYPE_CHECKING:
     from ..acting import Acting
@@ -30,7 +31,7 @@ class Settings:
     """
 
     effects: tuple[str, ...] = ()
-    tolerance: float = 0.0075
+    tolerance: float = TOLERANCE
     max_effects: int = 2
     seed: int = 0
     particles: int = 64
