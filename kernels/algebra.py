@@ -288,6 +288,12 @@ INVERSE_PI = wp.constant(wp.float64(0.3183098861837907))
 
 
 @wp.func
+def size(x: Any):
+    """|x| of a real."""
+    return where_neg(x, x - x - x, x)
+
+
+@wp.func
 def norm(v: Any):
     """|v|, above zero, so that it can be divided by."""
     o = real(0.0, v.x)

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from .algebra import add, add_cross, div, half_angle_log, mul, rotate, sub
+from .algebra import add, add_cross, cross, div, half_angle_log, mul, rotate, sub
 from .articulated import (
     PRISMATIC,
     SPHERICAL,
@@ -295,8 +295,7 @@ def strips_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
         near = LinkState(add_cross(velocity, away, spin), middle - away, pose, half, time)
         outer = law(e, i, fx, far)
         inner = law(e, i, fx, near)
-        none = outer - outer
-        return Wrench(outer + inner, add_cross(add_cross(none, far.arm, outer), near.arm, inner))
+        return Wrench(outer + inner, add_cross(cross(far.arm, outer), near.arm, inner))
 
     return wp.func(strips, name=f"strips_{key}")
 

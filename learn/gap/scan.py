@@ -68,11 +68,12 @@ class Basis:
 
     def free_of(self, vectors: torch.Tensor) -> torch.Tensor:
         """Return vectors [V, N] without what the model would explain of them."""
-        return vectors - self.taken_by(vectors) @ self._rows
+        return self.split(vectors)[1]
 
-    def taken_by(self, vectors: torch.Tensor) -> torch.Tensor:
-        """Return the coefficients [V, q + ...] with which the model explains vectors [V, N]."""
-        return torch.cholesky_solve(self._rows @ vectors.T, self._factor).T
+    def split(self, vectors: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the coefficients [V, q + ...] with which the model explains vectors [V, N], and the rest."""
+        taken = torch.cholesky_solve(self._rows @ vectors.T, self._factor).T
+        return taken, vectors - taken @ self._rows
 
 
 def all_probes(contest: Contest, without: Sequence[int] = ()) -> list[Probe]:
@@ -92,7 +93,7 @@ def look(contest: Contest, basis: Basis, probes: Sequence[Probe], residuals: tor
     change = contest.whiten(out - contest.simulate(contest.values(basis.fit.rows), basis.fit.rows.start)).flatten(1)
     weight = basis.fit.rows.weight[0]
     change = change * weight.repeat_interleave(change.shape[1] // len(weight))
-    imitated, change = basis.taken_by(change)[:, : len(basis.columns)], basis.free_of(change)
+    imitated, change = basis.split(change)
     left = basis.free_of(residuals)
     gain = left.new_zeros(len(residuals), len(probes))
     strength, taken = [], []
@@ -101,7 +102,7 @@ def look(contest: Contest, basis: Basis, probes: Sequence[Probe], residuals: tor
         found, explained = _explained(own, left, bounded=not probe.moved)
         gain[:, k] = explained
         strength.append(found[0])
-        taken.append(found[0] @ imitated[owner == k])
+        taken.append(found[0] @ imitated[owner == k][:, : len(basis.columns)])
     return Scan(list(probes), gain, strength, [1] * len(probes), torch.stack(taken))
 
 
@@ -152,8 +153,8 @@ def start_rows(contest: Contest, basis: Basis, scan: Scan, chosen: Sequence[int]
     plain = _with_effects(contest, basis, scan, chosen)
     answered, columns = plain.copy(), basis.columns
     reach = contest.reach[columns]
-    moved = answered.free[:, columns] - torch.maximum(torch.minimum(scan.taken[list(chosen)], reach), -reach)
-    answered.free[:, columns] = torch.maximum(torch.minimum(moved, contest.high[columns]), contest.low[columns])
+    moved = answered.free[:, columns] - scan.taken[list(chosen)].clamp(-reach, reach)
+    answered.free[:, columns] = moved.clamp(contest.low[columns], contest.high[columns])
     return Rows.joined([plain, answered])
 
 

@@ -4,15 +4,9 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, mul, norm, sub
+from ...kernels.algebra import add, div, mul, norm, size, sub
 from ...kernels.real import fma, real, where_neg
 from .registry import Effect, EffectParameter, Law, register
-
-
-@wp.func
-def size(x: Any):
-    """|x|."""
-    return where_neg(x, x - x - x, x)
 
 
 @wp.func

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, rotate, sub, unrotate
+from ...kernels.algebra import add, div, dot, mul, rotate, size, sub, unrotate
 from ...kernels.real import real, sqrt_
 from .flow import ACROSS, across
 from .registry import Effect, EffectParameter, Law, register
@@ -22,12 +22,6 @@ def drag_on_link(b: Any, p: Any):
     faces = type(u)(own.x * size(own.x), own.y * size(own.y), own.z * size(own.z))
     whole = u * ((real(1.0, o) - p.c) * sqrt_(dot(u, u)))
     return (whole + rotate(b.turn, faces) * p.c) * (o - p.a * b.area)
-
-
-@wp.func
-def size(a: Any):
-    """Return |a|."""
-    return sqrt_(a * a)
 
 
 @wp.func
