@@ -92,7 +92,7 @@ def chosen(field: Field, most: int) -> Model:
 
     The base where nothing else was fitted.
     """
-    best = next(iter(field.of_size(1)), field.base)
+    best = _single(field)
     share = FURTHER_SHARE_TORQUE if fits_torque(field.contest.case) else FURTHER_SHARE
     worth = WORTH if isinstance(field.contest.case, BranchCase) else WORTH_JOINT
     for count in range(2, most + 1):
@@ -110,6 +110,16 @@ def chosen(field: Field, most: int) -> Model:
             break
         best = trial
     return best
+
+
+def _single(field: Field) -> Model:
+    """Return the best model with one effect; of those that tie, one in a pair that is clearly better than any."""
+    singles, pairs = field.of_size(1), field.of_size(2)
+    best = next(iter(singles), field.base)
+    if not pairs or field.criterion(best) - field.criterion(pairs[0]) < FURTHER:
+        return best
+    tied = [m for m in singles if field.criterion(m) - field.criterion(best) < TIED]
+    return next((m for m in tied if set(m.members) <= set(pairs[0].members)), best)
 
 
 def size(field: Field, model: Model, rms: float) -> float:

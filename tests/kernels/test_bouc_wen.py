@@ -10,11 +10,34 @@ T = effect_types(1, 32)
 JointState, Response, Parameters, Vec = T.JointState, T.Response, T.Parameters, T.Vec
 LAW = effect_of("hysteresis_boucwen").branch.law
 Y, STEPS = 0.05, 4000
-RISE = {1.0: lambda x: 1 - np.exp(-x), 2.0: np.tanh}  # z / y over turn / y from z = 0
+
+def rise(x, n, loading):
+    """z / y over turn / y from z = 0: z' = 1 - l z^n."""
+    return (1 - np.exp(-loading * x)) / loading if n == 1.0 else np.tanh(np.sqrt(loading) * x) / np.sqrt(loading)
+
+
+def fall(x, n, loading, z):
+    """z / y over turn / y back from z above none, until it is none: z' = -1 - (1 - l) z^n."""
+    rest = 1 - loading
+    if rest == 0.0:
+        return z - x
+    if n == 1.0:
+        return (z + 1 / rest) * np.exp(-rest * x) - 1 / rest
+    return np.tan(np.arctan(z * np.sqrt(rest)) - np.sqrt(rest) * x) / np.sqrt(rest)
+
+
+def none_left(n, loading, z):
+    """Return turn / y after which `fall` has come to none."""
+    rest = 1 - loading
+    if rest == 0.0:
+        return z
+    return np.log(1 + rest * z) / rest if n == 1.0 else np.arctan(z * np.sqrt(rest)) / np.sqrt(rest)
 
 
 @wp.kernel(module="unique")
-def turn(path_in: wp.array(dtype=wp.vec3), y: float, n: float, m: float, torque_out: wp.array(dtype=wp.vec3)):
+def turn(
+    path_in: wp.array(dtype=wp.vec3), y: float, n: float, loading: float, m: float, torque_out: wp.array(dtype=wp.vec3)
+):
     """Turn a joint of unit stiffness along a path, a step of 1 s from one place to the next, and write the torque."""
     none, z = Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0)
     for k in range(path_in.shape[0]):
@@ -22,16 +45,16 @@ def turn(path_in: wp.array(dtype=wp.vec3), y: float, n: float, m: float, torque_
         if k > 0:
             rate = path_in[k] - path_in[k - 1]
         j = JointState(none, Vec(rate[0], rate[1], rate[2]), 1.0, 0.0, 1.0)
-        r = LAW(j, Parameters(1.0, y, n, m, 0.0, 0.0), Response(none, z, 0.0, 0.0))
+        r = LAW(j, Parameters(1.0, y, n, loading, m, 0.0), Response(none, z, 0.0, 0.0))
         z = r.memory
         torque_out[k] = wp.vec3(r.torque.x, r.torque.y, r.torque.z)
 
 
-def turned(path, n, m):
+def turned(path, n, m, loading=1.0):
     """Return the torque along a path [samples, 3]."""
     given = wp.array(path, dtype=wp.vec3, device="cpu")
     out = wp.full(len(path), wp.vec3(np.nan, np.nan, np.nan), dtype=wp.vec3, device="cpu")
-    wp.launch(turn, dim=1, inputs=[given, Y, n, m], outputs=[out], device="cpu")
+    wp.launch(turn, dim=1, inputs=[given, Y, n, loading, m], outputs=[out], device="cpu")
     return out.numpy()
 
 
@@ -40,24 +63,42 @@ def to_and_fro(far):
     return np.concatenate([np.linspace(0, far, STEPS), np.linspace(far, 0, STEPS)])
 
 
-def slid(path, n):
-    """Return z along `to_and_fro`: up to s = y RISE(far / y); elastic down to zero; then down as it went up."""
-    far = path.max()
-    s = Y * RISE[n](far / Y)
-    back = far - path[STEPS:]
-    down = np.where(back < s, s - back, -Y * RISE[n](np.maximum(back - s, 0.0) / Y))
-    return np.concatenate([Y * RISE[n](path[:STEPS] / Y), down])
+def slid(path, n, loading=1.0):
+    """Return z along `to_and_fro`: up to y `rise`(far / y), back to none as in `fall`, then down as it went up."""
+    x, far = path / Y, path.max() / Y
+    top = rise(far, n, loading)
+    back, turned_back = far - x[STEPS:], none_left(n, loading, top)
+    down = np.where(back < turned_back, fall(np.minimum(back, turned_back), n, loading, top),
+                    -rise(np.maximum(back - turned_back, 0.0), n, loading))  # fmt: skip
+    return Y * np.concatenate([rise(x[:STEPS], n, loading), down])
 
 
 CLOSE = 0.2 / STEPS  # one step's turn: the law's step is of first order
 
 
+@pytest.mark.parametrize("loading", [1.0, 0.7, 0.4])
 @pytest.mark.parametrize("n", [1.0, 2.0])
-def test_one_axis_follows_the_closed_form(n):
+def test_one_axis_follows_the_closed_form(n, loading):
     """Turn four yield angles along an oblique axis and back: round, the torque is along it."""
     along = np.array([0.6, -0.64, 0.48])
     path = to_and_fro(4 * Y)
-    np.testing.assert_allclose(turned(path[:, None] * along, n, 0.0), -slid(path, n)[:, None] * along, atol=CLOSE)
+    expected = -slid(path, n, loading)[:, None] * along
+    np.testing.assert_allclose(turned(path[:, None] * along, n, 0.0, loading), expected, atol=CLOSE)
+
+
+def test_a_slider_that_stiffens_follows_the_closed_form():
+    """With less than nothing yielding on loading, z rises faster than the turn; the error grows as z does, e-fold."""
+    path = to_and_fro(4 * Y)
+    out = turned(path[:, None] * np.array([1.0, 0.0, 0.0]), 1.0, 0.0, -0.2)[:, 0]
+    np.testing.assert_allclose(out, -slid(path, 1.0, -0.2), atol=np.e * CLOSE)
+    assert -out.min() > 5 * Y
+
+
+def test_a_slider_that_stiffens_past_all_bounds_keeps_its_sign():
+    """Turn so far in a step that the implicit rate would change sign: z doubles at most."""
+    out = turned(np.arange(6)[:, None] * np.array([2 * Y, 0.0, 0.0]), 2.0, 0.0, -0.25)[1:, 0]
+    before = np.concatenate([[0.0], out[:-1]])
+    assert (out < before).all() and (-out <= 2 * (2 * Y - before) + 1e-6).all()
 
 
 @pytest.mark.parametrize("n", [1.0, 2.0])
@@ -65,8 +106,8 @@ def test_each_axis_slides_by_itself(n):
     """Turn along an oblique axis with the whole share separate: every component has its own closed form."""
     far = np.array([4.0, 2.0, 0.5]) * Y
     path = np.stack([to_and_fro(f) for f in far], 1)
-    expected = np.stack([slid(path[:, k], n) for k in range(3)], 1)
-    np.testing.assert_allclose(turned(path, n, 1.0), -expected, atol=CLOSE)
+    expected = np.stack([slid(path[:, k], n, 0.8) for k in range(3)], 1)
+    np.testing.assert_allclose(turned(path, n, 1.0, 0.8), -expected, atol=CLOSE)
 
 
 def test_exponents_between_are_between():

@@ -481,13 +481,13 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
     at_joint, elsewhere = ("hysteresis_boucwen", "plastic_set"), ("wind_gust", "steady_wind", "time_delay", "tip_mass")
     acting = (*(Acting(n, 0) for n in at_joint), *(Acting(n) for n in elsewhere))
     values = torch.tensor(
-        [[KS, DS, 0.3, 0.05, 1.4, 0.3, 0.4, 0.05, 0.5, 0.3, 20, 30, -20, 5, 0.9, 0.3, 10, 5, -5, 0.6, 0.01, 0.02]]
+        [[KS, DS, 0.3, 0.05, 1.4, 0.7, 0.3, 0.4, 0.05, 0.5, 0.3, 20, 30, -20, 5, 0.9, 0.3, 10, 5, -5, 0.6, 0.01, 0.02]]
     )
     outs = []
     for width in (1, 8):
         monkeypatch.setattr("bough.learn.rollout.simd_width", lambda w=width: w)
         rollout = Rollout(case, recordings(case), 2, unknowns=Unknowns(effects=acting))
         order = [p.name for p in rollout.plant.parameters]
-        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 22
+        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 23
         outs.append(rollout(values.repeat(2, 1)).clone())
     assert (outs[0] == outs[1]).all() and torch.isfinite(outs[0]).all()

@@ -197,6 +197,13 @@ def test_a_small_further_effect_must_end_the_search():
     assert chosen(field_of({(0,): 1060, (0, 2): 1001}), 2).members == (0,)  # passes for noise by itself
 
 
+def test_of_names_that_tie_the_one_that_goes_further_leads():
+    """Prefer the second best by five squares where the best pair holds it, if that pair is clearly better than both."""
+    assert chosen(field_of({(0,): 1500, (2,): 1505, (1, 2): 1450}), 2).members == (2,)
+    assert chosen(field_of({(0,): 1500, (2,): 1505, (1, 2): 1480}), 2).members == (0,)
+    assert chosen(field_of({(0,): 1500, (2,): 1550, (1, 2): 1450}), 2).members == (0,)
+
+
 def test_the_nearest_name_is_what_explains_most_alone():
     """Put forward of two effects the one that does more by itself, wherever it stands."""
     field = field_of({(0,): 2600, (2,): 1500, (0, 2): 1400})
