@@ -32,9 +32,9 @@ def left_over(x: Any):
 def hysteresis_boucwen(j: Any, p: Any, r: Any):
     """tau = -a K z,  dz/dt = w - z (l max(0, z.w) + (1 - l) max(0, -z.w)) |z|^(n-2) / y^n.
 
-    Bouc and Wen's beta y^n is a half and gamma y^n is l - 1/2. The share m yields about each axis by itself, with z_k w_k
-    in the place of z.w and |z_k| of |z|. Implicit in the z that yields: with l = 1 it is y at a steady rate, whatever
-    the step.
+    Bouc and Wen's beta y^n is a half and gamma y^n is l - 1/2. The share m yields about each axis by itself, with
+    z_k w_k in the place of z.w and |z_k| of |z|. Implicit in the z that yields: with l = 1 it is y at a steady rate,
+    whatever the step.
     """
     o = real(0.0, p.a)
     one = real(1.0, o)

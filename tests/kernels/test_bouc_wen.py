@@ -11,13 +11,14 @@ JointState, Response, Parameters, Vec = T.JointState, T.Response, T.Parameters, 
 LAW = effect_of("hysteresis_boucwen").branch.law
 Y, STEPS = 0.05, 4000
 
+
 def rise(x, n, loading):
-    """z / y over turn / y from z = 0: z' = 1 - l z^n."""
+    """Return z / y over turn / y from z = 0: z' = 1 - l z^n."""
     return (1 - np.exp(-loading * x)) / loading if n == 1.0 else np.tanh(np.sqrt(loading) * x) / np.sqrt(loading)
 
 
 def fall(x, n, loading, z):
-    """z / y over turn / y back from z above none, until it is none: z' = -1 - (1 - l) z^n."""
+    """Return z / y over turn / y back from z above none, until that is none: z' = -1 - (1 - l) z^n."""
     rest = 1 - loading
     if rest == 0.0:
         return z - x
