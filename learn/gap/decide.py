@@ -15,6 +15,9 @@ from .search import Model, overdispersion, penalty
 
 #: Family-wise p-value above which nothing is said to be missing.
 ALARM = 0.01
+#: Squares of the base's excess per number, and their root as a share of the motion's rms, above which something is
+#: missing even where no candidate explains any of it: no estimate of the noise is so wrong.
+LACK, LACK_SIZE = 1.0, 0.02
 #: Squares per number up to which what is left passes for noise, whose size is itself an estimate; and the least share
 #: of the excess that named effects must explain then.
 QUIET, QUIET_EXPLAINED = 1.15, 0.7
@@ -29,8 +32,9 @@ EXPLAINED_TORQUE = 0.25
 FURTHER, FURTHER_SHARE, FURTHER_SHARE_TORQUE = 20.0, 0.3, 0.1
 #: Least share of the base's excess that a further effect must explain, in a branch and at joints measured directly:
 #: laws differ in form from what they stand for, by a quarter of what they do, and an effect that only makes up for that
-#: is none. One that explains the third share of what is left need not: no law makes up for another one's form so well.
-WORTH, WORTH_JOINT, NEARLY_ALL = 0.1, 0.08, 0.93
+#: is none. Half of that will do for one that explains `MOST` of what is left, and less for one that explains
+#: `NEARLY_ALL`, which ends the search: no law makes up for another one's form so well.
+WORTH, WORTH_JOINT, MOST, NEARLY_ALL = 0.1, 0.08, 0.75, 0.93
 #: Least share of a branch's excess that the same law at two joints must explain to be named.
 TWICE = 0.97
 #: Models this little behind the best in the information criterion cannot be told from it.
@@ -106,7 +110,8 @@ def chosen(field: Field, most: int) -> Model:
         if gained < FURTHER or removed < share * max(left, 0.0):
             break
         ends = needs_more(field, best) and removed > NEARLY_ALL * left
-        if not ends and field.explained(trial) - field.explained(best) < worth:
+        least = 0.5 * worth if removed > MOST * left else worth
+        if not ends and field.explained(trial) - field.explained(best) < least:
             break
         best = trial
     return best
@@ -129,6 +134,12 @@ def size(field: Field, model: Model, rms: float) -> float:
     """
     gained = max(field.base.chi2 - model.chi2, 0.0) / field.contest.num_samples
     return float(np.sqrt(gained)) / rms
+
+
+def lacks_fit(contest: Contest, base: Model, rms: float) -> bool:
+    """Return whether a base leaves far more than noise, and a part of the motion (``rms`` of noise) that matters."""
+    excess = base.chi2 / contest.num_samples - 1.0
+    return excess > LACK and float(np.sqrt(excess)) > LACK_SIZE * rms
 
 
 def known(field: Field, model: Model) -> bool:

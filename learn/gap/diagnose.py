@@ -32,7 +32,7 @@ from ..target import Target
 from ..threads import one_thread
 from .candidates import names_for
 from .contest import Contest, Rows
-from .decide import ALARM, Field, alternatives, chosen, known, leading, needs_more, size
+from .decide import ALARM, Field, alternatives, chosen, known, lacks_fit, leading, needs_more, size
 from .diagnosis import Diagnosis, Gap, Interval, Rival, Settings, VerdictName
 from .evidence import family_wise, left_out, nulls, profiles
 from .next_probe import next_experiment
@@ -125,9 +125,10 @@ class Diagnoser:
         level = first_level(contest, basis, scan, self.progress)
         models = level.models + moved(contest, level.models[:2])
         field = self._recoloured(base, Field(contest, Model((), base.fit), models))
+        missing = p_null <= ALARM or lacks_fit(contest, field.base, _over_noise(contest))
         for count in range(2, self.settings.max_effects + 1):
             leaders = field.of_size(count - 1)[:LEADERS]
-            if p_null > ALARM or not leaders or not needs_more(field, leaders[0]):
+            if not missing or not leaders or not needs_more(field, leaders[0]):
                 break
             contest.overdispersion = field.overdispersion
             further = next_level(contest, leaders, self.progress).models
@@ -154,7 +155,8 @@ class Diagnoser:
         model = chosen(field, self.settings.max_effects)
         rms = _over_noise(contest)
         verdict: VerdictName = "effects" if known(field, model) else "unknown"
-        if p_null > ALARM or size(field, model, rms) < self.settings.tolerance:
+        small = p_null > ALARM or size(field, model, rms) < self.settings.tolerance
+        if small and not lacks_fit(contest, field.base, rms):
             verdict = "none"
         if poor is not None:
             verdict = "unknown"

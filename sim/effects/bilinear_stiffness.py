@@ -8,14 +8,13 @@ from ...kernels.algebra import add, div, dot, mul, sub
 from ...kernels.real import cos_root, fma, real, sin_ratio, sqrt_, where_neg
 from .registry import Effect, EffectParameter, Law, axis_parameter, register
 
-#: Half-width of the change of slope at zero [rad].
+#: Half-width of the change of slope at zero in a branch [rad].
 WIDTH = wp.constant(wp.float64(0.005))
 
 
 @wp.func
-def ramp(x: Any):
+def ramp(x: Any, w: Any):
     """(x + sqrt(x^2 + w^2) - w) / 2: 0 for x well below zero, x above, zero at zero."""
-    w = real(WIDTH, x)
     return (x + sqrt_(fma(x, x, w * w)) - w) * real(0.5, x)
 
 
@@ -25,24 +24,27 @@ def bilinear_stiffness(j: Any, p: Any, r: Any):
     o = real(0.0, p.a)
     n = type(r.torque)(cos_root(p.b * p.b), sin_ratio(p.b * p.b) * p.b, o)
     k = p.a * j.stiffness
-    return type(r)(n * (o - k * ramp(dot(j.angle, n))), r.memory, where_neg(k, o, k), o)
+    return type(r)(n * (o - k * ramp(dot(j.angle, n), real(WIDTH, o))), r.memory, where_neg(k, o, k), o)
 
 
 @wp.func
 def bilinear_joint(j: Any, p: Any, r: Any):
-    """tau = -rel K ramp(q)."""
+    """tau = -rel K ramp(q), its corner as wide as beseems a joint that may turn by radians or slide by mm."""
     o = real(0.0, p.a)
     k = p.a * j.stiffness
-    return type(r)(type(r.torque)(o - k * ramp(j.angle.x), o, o), r.memory, where_neg(k, o, k), o)
+    return type(r)(type(r.torque)(o - k * ramp(j.angle.x, p.b), o, o), r.memory, where_neg(k, o, k), o)
 
 
 _REL = EffectParameter("relative", "1", -0.9, 3.0)
+_CORNER = EffectParameter(
+    "corner_rad", "rad", lambda s: 1e-3 * s.angle, lambda s: s.angle, neutral=0.005, scale="log", tries=2, optional=True
+)
 
 EFFECT = register(
     Effect(
         name="bilinear_stiffness",
         summary="stiffness K (1 + rel) where the joint bends one way about an axis across the segment, K the other way",
-        source="Shaw & Holmes 1983, J. Sound Vib. 90:129; corner rounded over 0.005 rad",
+        source="Shaw & Holmes 1983, J. Sound Vib. 90:129; corner rounded, in a branch over 0.005 rad",
         signature="pushes to the two sides differ in stiffness; releases swing with unequal half periods",
         mistaken_for=("cubic_stiffness", "anisotropic_stiffness", "backlash"),
         probe="the same push and release in opposite directions, in two planes",
@@ -51,6 +53,6 @@ EFFECT = register(
             (_REL, axis_parameter(circle=True, tries=8)),
             bilinear_stiffness,
         ),
-        joint=Law("joint", (_REL,), bilinear_joint),
+        joint=Law("joint", (_REL, _CORNER), bilinear_joint),
     )
 )

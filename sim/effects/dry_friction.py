@@ -13,16 +13,14 @@ BEND = wp.constant(wp.float64(5.0e-4))
 
 
 @wp.func
-def dry_friction(j: Any, p: Any, r: Any):
+def friction(j: Any, torque: Any, y: Any, r: Any):
     """tau = -T z / y, dz/dt = w where |z| < y, else z slides along at |z| = y: Coulomb's law that sticks.
 
     Implicit in the rate: within the step the bend z grows to s = z + h w, and tau = -T s / max(y, |s|) with the size of
     s at the present rate, a damper of T h / max(y, |s|). It gives all of T at a steady rate, and as the rate vanishes.
     """
-    o = real(0.0, p.a)
+    o = real(0.0, y)
     one = real(1.0, o)
-    least = real(BEND, o)
-    y = where_neg(p.b - least, least, p.b)
     turn = j.rate * j.step
     z = r.memory + turn
     far = norm(z)
@@ -30,23 +28,40 @@ def dry_friction(j: Any, p: Any, r: Any):
     z = z * where_neg(y - far, share, one)
     s = z + turn
     far = norm(s)
-    k = p.a / where_neg(far - y, y, far)
+    k = torque / where_neg(far - y, y, far)
     return type(r)(z * (o - k), z, o, k * j.step)
+
+
+@wp.func
+def dry_friction(j: Any, p: Any, r: Any):
+    """Friction that bends by 0.5 mrad at least."""
+    least = real(BEND, p.a)
+    return friction(j, p.a, where_neg(p.b - least, least, p.b), r)
+
+
+@wp.func
+def dry_friction_at_joint(j: Any, p: Any, r: Any):
+    """Friction whose bend is small beside the motion, whatever that is: a joint may turn by radians or slide by mm."""
+    return friction(j, p.a, p.b, r)
 
 
 _TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")
 _BEND = EffectParameter("bend_rad", "rad", 0.0, lambda s: 0.03 * s.angle, tries=1, optional=True)
+_BEND_AT_JOINT = EffectParameter(
+    "bend_rad", "rad", lambda s: 3e-4 * s.angle, lambda s: 0.03 * s.angle, neutral=5e-4, scale="log", tries=1,
+    typical=lambda s: 1e-3 * s.angle, optional=True,
+)  # fmt: skip
 
 EFFECT = register(
     Effect(
         name="dry_friction",
-        summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first, 0.5"
-        " mrad at least)",
+        summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first, in"
+        " a branch 0.5 mrad at least)",
         source="Coulomb 1785; elastic before it slips as in Dahl 1968, Aerospace TOR-158",
         signature="oscillations decay in a straight line and stop off centre; loops keep their width however slow",
         mistaken_for=("hysteresis_boucwen", "plastic_set", "quadratic_drag"),
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
         branch=Law("joint", (_TORQUE, _BEND), dry_friction, memory=1),
-        joint=Law("joint", (_TORQUE,), dry_friction, memory=1),
+        joint=Law("joint", (_TORQUE, _BEND_AT_JOINT), dry_friction_at_joint, memory=1),
     )
 )

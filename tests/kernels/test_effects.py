@@ -36,12 +36,17 @@ def integrate(t, torque, q0, v0, extra=()):
     return y[0], y[1]
 
 
-def test_dry_friction_takes_four_torques_a_cycle(tmp_path):
-    """Lose 2 T / K of amplitude every half swing: energy T (A + A') each, which is 4 T A a cycle."""
-    case, torque = swing_case(tmp_path / "c", [(0.5, 0.0)]), 2.0
-    out = simulate(case, K, D, start=[0.5, 0.0], dry_friction={"torque_Nm": torque})[0]
+@pytest.mark.parametrize("scale", [1.0, 1e-3])
+def test_dry_friction_takes_four_torques_a_cycle(tmp_path, scale):
+    """Lose 2 T / K of amplitude every half swing: energy T (A + A') each, which is 4 T A a cycle.
+
+    A bend of a thousandth of the swing does so for half a radian and for half a milliradian.
+    """
+    case, torque = swing_case(tmp_path / "c", [(0.5 * scale, 0.0)]), 2.0 * scale
+    own = {"torque_Nm": torque} if scale == 1.0 else {"torque_Nm": torque, "bend_rad": BEND * scale}
+    out = simulate(case, K, D, start=[0.5 * scale, 0.0], dry_friction=own)[0]
     _, tops = peaks(case.trajectories[0].t, out[:, 0])
-    drop = -np.diff(np.abs([0.5, *tops[np.abs(tops) > 0.15]]))
+    drop = -np.diff(np.abs([0.5 * scale, *tops[np.abs(tops) > 0.15 * scale]]))
     assert len(drop) >= 5
     # a reversal turns through 2 BEND at no friction in the mean: 2 BEND of A + A' > 0.3, and the step's W H / 2
     np.testing.assert_allclose(drop, 2 * torque / K, rtol=2 * BEND / 0.3 + W * H / 2)
@@ -97,15 +102,17 @@ def test_cubic_stiffness_has_the_period_of_duffing(tmp_path):
         assert 2 * np.diff(time).mean() == pytest.approx(expected, rel=2e-3)
 
 
-def test_bilinear_stiffness_has_unequal_half_periods(tmp_path):
-    """Stay pi / W on the soft side and pi / (W sqrt(1 + rel)) on the stiff one."""
-    case, rel = swing_case(tmp_path / "c", [(-0.6, 0.0)]), 1.5
-    out = simulate(case, K, D, start=[-0.6, 0.0], bilinear_stiffness={"relative": rel})[0]
+@pytest.mark.parametrize("scale", [1.0, 1e-3])
+def test_bilinear_stiffness_has_unequal_half_periods(tmp_path, scale):
+    """Stay pi / W on the soft side and pi / (W sqrt(1 + rel)) on the stiff one, of swings large and small."""
+    case, rel = swing_case(tmp_path / "c", [(-0.6 * scale, 0.0)]), 1.5
+    own = {"relative": rel} if scale == 1.0 else {"relative": rel, "corner_rad": 0.005 * scale}
+    out = simulate(case, K, D, start=[-0.6 * scale, 0.0], bilinear_stiffness=own)[0]
     t, q = case.trajectories[0].t, out[:, 0]
     at = np.flatnonzero(np.diff(np.sign(q)))
     cross = t[at] - q[at] * (t[1] - t[0]) / (q[at + 1] - q[at])
     half = np.diff(cross)  # starts below zero: the first whole half swing is above
-    # the corner is rounded over 0.005 rad of 0.4
+    # the corner is rounded over 0.005 of 0.4
     np.testing.assert_allclose(half[0::2], np.pi / (W * np.sqrt(1 + rel)), rtol=0.01)
     np.testing.assert_allclose(half[1::2], np.pi / W, rtol=0.01)
 

@@ -10,7 +10,7 @@ import torch
 from bough.learn.case import BranchCase, load_case
 from bough.learn.gap.candidates import Candidate, everywhere, names_for, probes_of
 from bough.learn.gap.contest import Contest, Rows, active_rows
-from bough.learn.gap.decide import Field, alternatives, chosen, known, leading
+from bough.learn.gap.decide import Field, alternatives, chosen, known, lacks_fit, leading
 from bough.learn.gap.diagnose import Diagnoser, Settings, too_loud
 from bough.learn.gap.evidence import family_wise
 from bough.learn.gap.exam import as_text, grades
@@ -191,9 +191,10 @@ def test_a_further_effect_must_explain_much_of_what_is_left():
 
 
 def test_a_small_further_effect_must_end_the_search():
-    """Add one worth a twentieth of the gap where it leaves noise, not where it removes half of what is left."""
+    """Add one worth a twentieth of the gap where it removes most of what is left, not where it removes half."""
     assert chosen(field_of({(0,): 1150, (0, 2): 1005}), 2).members == (0, 2)
     assert chosen(field_of({(0,): 1150, (0, 2): 1075}), 2).members == (0,)
+    assert chosen(field_of({(0,): 1150, (0, 2): 1030}), 2).members == (0, 2)  # a sixteenth, and four fifths of the rest
     assert chosen(field_of({(0,): 1060, (0, 2): 1001}), 2).members == (0,)  # passes for noise by itself
 
 
@@ -208,6 +209,14 @@ def test_the_nearest_name_is_what_explains_most_alone():
     """Put forward of two effects the one that does more by itself, wherever it stands."""
     field = field_of({(0,): 2600, (2,): 1500, (0, 2): 1400})
     assert leading(field, field.models[2]) == 2 and leading(field, field.models[0]) == 0
+
+
+def test_a_misfit_far_above_noise_is_not_nothing():
+    """Miss something where the base leaves three squares a number and a tenth of the motion, whatever explains it."""
+    field = field_of({}, base=3000.0)
+    assert lacks_fit(field.contest, field.base, 14.0)
+    assert not lacks_fit(field.contest, field.base, 100.0)  # a seventieth of the motion
+    assert not lacks_fit(field.contest, field_of({}, base=1900.0).base, 1.0)
 
 
 def test_names_are_claimed_only_where_enough_is_explained():

@@ -61,9 +61,9 @@ def test_rows_are_whole(effect):
     )
     for law in (x for x in (effect.branch, effect.joint) if x is not None):
         for p in law.parameters:
-            low, high = (b(setting) if callable(b) else b for b in (p.low, p.high))
+            low, high, typical = (b(setting) if callable(b) else b for b in (p.low, p.high, p.typical))
             assert low < high and (p.scale == "linear" or low > 0.0)
-            assert p.typical is None or low <= p.typical <= high
+            assert typical is None or low <= typical <= high
             assert p.scale == "log" or low <= p.neutral <= high or p.unit in ("s", "Hz")
     assert set(effect.mistaken_for) <= set(NAMES) - {effect.name} and effect.mistaken_for
     assert effect.source and effect.signature and effect.probe
@@ -93,5 +93,7 @@ def test_page_lists_the_registry():
     assert [r[0] for r in rows] == [e.name for e in effects()]
     for (_, law, parameters, _, rivals, probe), e in zip(rows, effects(), strict=True):
         assert law.replace("\\|", "|") == f"{e.summary} ({e.source})" and probe == e.probe
-        assert re.findall(r"`(\w+)`", parameters) == [p.name for p in e.branch.parameters]
+        of_joints = () if e.joint is None else e.joint.parameters
+        names = dict.fromkeys(p.name for p in (*e.branch.parameters, *of_joints))
+        assert re.findall(r"`(\w+)`", parameters) == list(names)
         assert rivals.split(", ") == list(e.mistaken_for)
