@@ -204,7 +204,10 @@ def branch_settings(case: BranchCase) -> list[Setting]:
 
 
 def _moments(case: BranchCase) -> tuple[float, ...]:
-    return tuple(t.t_start + share * float(t.t[-1]) for t in case.trajectories for share in (0.1, 0.3, 0.6))
+    """Moments at which a branch may change for good: more in the first recording, where little else shows before."""
+    first = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8)
+    shares = [first] + [(0.05, 0.12, 0.25, 0.4, 0.65)] * (len(case.trajectories) - 1)
+    return tuple(t.t_start + s * float(t.t[-1]) for t, own in zip(case.trajectories, shares, strict=True) for s in own)
 
 
 def joint_settings(case: JointCase, carried: Sequence[float]) -> list[Setting]:

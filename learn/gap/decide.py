@@ -34,7 +34,7 @@ FURTHER, FURTHER_SHARE, FURTHER_SHARE_TORQUE = 20.0, 0.3, 0.1
 #: laws differ in form from what they stand for, by a quarter of what they do, and an effect that only makes up for that
 #: is none. Half of that will do for one that explains `MOST` of what is left, and less for one that explains
 #: `NEARLY_ALL`, which ends the search: no law makes up for another one's form so well.
-WORTH, WORTH_JOINT, MOST, NEARLY_ALL = 0.1, 0.08, 0.75, 0.93
+WORTH, WORTH_JOINT, MOST, NEARLY_ALL = 0.1, 0.08, 0.88, 0.93
 #: Least share of a branch's excess that the same law at two joints must explain to be named.
 TWICE = 0.97
 #: Models this little behind the best in the information criterion cannot be told from it.

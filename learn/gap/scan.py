@@ -168,9 +168,9 @@ def _with_effects(contest: Contest, basis: Basis, scan: Scan, chosen: Sequence[i
             rows.free[s, candidate.columns[entry]] += float(strength[n]) * step_of(contest, candidate, entry)
         if not probe.moved:
             _scale(contest, rows, s, candidate, probe, float(strength[0]))
-        inside = [contest.low + 0.02 * (contest.high - contest.low), contest.high - 0.02 * (contest.high - contest.low)]
-        own = list(candidate.columns)
-        rows.free[s, own] = torch.maximum(torch.minimum(rows.free[s, own], inside[1][own]), inside[0][own])
+        own = [candidate.columns[entry] for entry in probe.moved or (0,)]  # a grid's values, moments say, stay
+        edge = 0.02 * (contest.high[own] - contest.low[own])
+        rows.free[s, own] = rows.free[s, own].clamp(contest.low[own] + edge, contest.high[own] - edge)
     return rows
 
 

@@ -37,7 +37,7 @@ class Setting:
         dt: Sampling step [s].
         start, end: First and last moment of the recordings on the absolute clock [s].
         duration: Length of the longest recording [s].
-        moments: Three moments inside every recording, on the absolute clock [s].
+        moments: Some moments inside every recording, on the absolute clock [s].
     """
 
     torque: float = 1.0
