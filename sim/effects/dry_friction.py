@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ...kernels.algebra import add, div, mul, norm, sub
-from ...kernels.real import real, where_neg
+from ...kernels.real import fma, real, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
 #: Least angle (or way) over which asperities bend before they slip [rad or m].
@@ -13,22 +13,24 @@ BEND = wp.constant(wp.float64(5.0e-4))
 
 
 @wp.func
-def friction(j: Any, torque: Any, y: Any, r: Any):
-    """tau = -T z / y, dz/dt = w where |z| < y, else z slides along at |z| = y: Coulomb's law that sticks.
+def friction(j: Any, torque: Any, y: Any, gradual: Any, r: Any):
+    """tau = -T z / y, dz/dt = w - g |w| z / y where |z| < y, else z slides along at |z| = y: Coulomb's law that sticks.
 
-    Implicit in the rate: within the step the bend z grows to s = z + h w, and tau = -T s / max(y, |s|) with the size of
-    s at the present rate, a damper of T h / max(y, |s|). It gives all of T at a steady rate, and as the rate vanishes.
+    g = 0 is elastic and then slips, g = 1 is Dahl's law, in which z comes near y by e-folds. Implicit in the rate:
+    within the step the bend z grows to s = (z + h w) / (1 + g h |w| / y), and tau = -T s / max(y, |s|) with the size of
+    s at the present rate, a damper of T h / ((1 + g h |w| / y) max(y, |s|)). It gives all of T at a steady rate, and
+    as the rate vanishes.
     """
     o = real(0.0, y)
     one = real(1.0, o)
     turn = j.rate * j.step
-    z = r.memory + turn
+    slow = one / fma(gradual / y, norm(turn), one)
+    z = (r.memory + turn) * slow
     far = norm(z)
     share = y / far
     z = z * where_neg(y - far, share, one)
-    s = z + turn
-    far = norm(s)
-    k = torque / where_neg(far - y, y, far)
+    far = norm(z + turn) * slow
+    k = torque * slow / where_neg(far - y, y, far)
     return type(r)(z * (o - k), z, o, k * j.step)
 
 
@@ -36,13 +38,13 @@ def friction(j: Any, torque: Any, y: Any, r: Any):
 def dry_friction(j: Any, p: Any, r: Any):
     """Friction that bends by 0.5 mrad at least."""
     least = real(BEND, p.a)
-    return friction(j, p.a, where_neg(p.b - least, least, p.b), r)
+    return friction(j, p.a, where_neg(p.b - least, least, p.b), p.c, r)
 
 
 @wp.func
 def dry_friction_at_joint(j: Any, p: Any, r: Any):
     """Friction whose bend is small beside the motion, whatever that is: a joint may turn by radians or slide by mm."""
-    return friction(j, p.a, p.b, r)
+    return friction(j, p.a, p.b, p.c, r)
 
 
 _TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")
@@ -52,16 +54,18 @@ _BEND_AT_JOINT = EffectParameter(
     typical=lambda s: 1e-3 * s.angle, optional=True,
 )  # fmt: skip
 
+_GRADUAL = EffectParameter("gradual", "1", 0.0, 1.0, tries=1, optional=True)
+
 EFFECT = register(
     Effect(
         name="dry_friction",
         summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first, in"
-        " a branch 0.5 mrad at least)",
-        source="Coulomb 1785; elastic before it slips as in Dahl 1968, Aerospace TOR-158",
+        " a branch 0.5 mrad at least, and from g = 0 to 1 comes ever more gradually to slip)",
+        source="Coulomb 1785; elastic before it slips, and gradual, as in Dahl 1968, Aerospace TOR-158",
         signature="oscillations decay in a straight line and stop off centre; loops keep their width however slow",
         mistaken_for=("hysteresis_boucwen", "plastic_set", "quadratic_drag"),
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
-        branch=Law("joint", (_TORQUE, _BEND), dry_friction, memory=1),
-        joint=Law("joint", (_TORQUE, _BEND_AT_JOINT), dry_friction_at_joint, memory=1),
+        branch=Law("joint", (_TORQUE, _BEND, _GRADUAL), dry_friction, memory=1),
+        joint=Law("joint", (_TORQUE, _BEND_AT_JOINT, _GRADUAL), dry_friction_at_joint, memory=1),
     )
 )

@@ -124,7 +124,7 @@ def test_grasp_slip_is_the_hidden_simulators(tmp_path, mobility):
 
 BRANCH_TRUTH = {
     "cubic_stiffness": (6.0, 0.5),
-    "dry_friction": (0.25, 0.004),
+    "dry_friction": (0.25, 0.004, 0.4),
     "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6),
     "quadratic_drag": (25.0, 0.4, 0.3),
     "viscoelastic_sls": (0.5, 0.3),

@@ -1,0 +1,66 @@
+"""Friction's bristles, from elastic and then slipping to Dahl's: turned along given paths beside closed forms."""
+
+import numpy as np
+import pytest
+import warp as wp
+from bough.kernels.effects import effect_types
+from bough.sim.effects import effect_of
+
+T = effect_types(1, 32)
+JointState, Response, Parameters, Vec = T.JointState, T.Response, T.Parameters, T.Vec
+LAW = effect_of("dry_friction").branch.law
+Y, STEPS = 0.02, 4000
+CLOSE = 0.2 / STEPS / Y  # of T: one step's turn over the bend; the law's step is of first order
+
+
+@wp.kernel(module="unique")
+def turn(path_in: wp.array(dtype=wp.vec3), y: float, gradual: float, torque_out: wp.array(dtype=wp.vec3)):
+    """Turn a joint along a path, a step of 1 s from one place to the next, and write the torque for T = 1."""
+    none, z = Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0)
+    for k in range(path_in.shape[0]):
+        rate = path_in[k]
+        if k > 0:
+            rate = path_in[k] - path_in[k - 1]
+        j = JointState(none, Vec(rate[0], rate[1], rate[2]), 1.0, 0.0, 1.0)
+        r = LAW(j, Parameters(1.0, y, gradual, 0.0, 0.0, 0.0), Response(none, z, 0.0, 0.0))
+        z = r.memory
+        # the damper's share of the torque is the simulator's to add
+        torque_out[k] = wp.vec3(r.torque.x, r.torque.y, r.torque.z) - r.damping * rate
+
+
+def turned(path, gradual):
+    """Return the torque along a path [samples, 3]."""
+    given = wp.array(path, dtype=wp.vec3, device="cpu")
+    out = wp.full(len(path), wp.vec3(np.nan, np.nan, np.nan), dtype=wp.vec3, device="cpu")
+    wp.launch(turn, dim=1, inputs=[given, Y, gradual], outputs=[out], device="cpu")
+    return out.numpy()
+
+
+def bend(x, start, gradual):
+    """z / y after a turn x / y away from where it was ``start``: z' = 1 - g z, at most 1."""
+    if gradual == 0.0:
+        return np.minimum(start + x, 1.0)
+    return np.minimum((1 - (1 - gradual * start) * np.exp(-gradual * x)) / gradual, 1.0)
+
+
+@pytest.mark.parametrize("gradual", [0.0, 0.5, 1.0])
+def test_there_and_back_follows_the_closed_form(gradual):
+    """Turn five bends along an oblique axis and back; the torque is against the turn and along the axis."""
+    along, far = np.array([0.6, -0.64, 0.48]), 5.0
+    there = np.linspace(0, far, STEPS)
+    path = Y * np.concatenate([there, there[::-1]])
+    up = bend(there, 0.0, gradual)
+    expected = np.concatenate([up, -bend(there, -up[-1], gradual)])
+    np.testing.assert_allclose(turned(path[:, None] * along, gradual), -expected[:, None] * along, atol=CLOSE)
+
+
+@pytest.mark.parametrize("gradual", [0.0, 0.5, 1.0])
+def test_in_space_it_is_round_and_never_above_its_size(gradual):
+    """Turn path and axes together: the torque is turned; nowhere is it more than T."""
+    t = np.linspace(0, 12, STEPS)[:, None]
+    path = 0.1 * np.sin(t * np.array([1.0, 1.4, 0.7]) + np.array([0.0, 1.0, 2.0]))
+    path -= path[0]
+    axes, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))
+    out = turned(path, gradual)
+    np.testing.assert_allclose(turned(path @ axes.T, gradual), out @ axes.T, atol=2e-5)
+    assert (np.linalg.norm(out, axis=1) < 1 + 1e-5).all()
