@@ -37,7 +37,7 @@ def turned(path, gradual):
 
 
 def bend(x, start, gradual):
-    """z / y after a turn x / y away from where it was ``start``: z' = 1 - g z, at most 1."""
+    """Return z / y after a turn x / y away from where it was ``start``: z' = 1 - g z, at most 1."""
     if gradual == 0.0:
         return np.minimum(start + x, 1.0)
     return np.minimum((1 - (1 - gradual * start) * np.exp(-gradual * x)) / gradual, 1.0)
