@@ -13,6 +13,7 @@ from ..sim.effects import Effect, EffectParameter, Law, Setting, effect_of
 from ..sim.effects.registry import Form
 from ..sim.errors import InputError
 from ..sim.model import Model
+from ..sim.tree import Array
 from .case import BranchCase, JointCase
 from .plant import Parameter, Write
 
@@ -231,14 +232,30 @@ def joint_settings(case: JointCase, carried: Sequence[float]) -> list[Setting]:
 
 def _motion(case: JointCase, name: str) -> tuple[float, float, float]:
     """Largest angle, rate and acceleration of a joint; what is not measured follows from what is."""
-    found: dict[str, float] = {}
-    for c, channel in enumerate(case.outputs):
-        if channel.joint == name:
-            size = max(float(np.abs(t.output[:, c]).max()) for t in case.trajectories)
-            found[channel.quantity] = max(size, 1e-9)
-            if channel.quantity == "position":
-                steps = [np.diff(t.output[:, c]) / case.dt for t in case.trajectories]
-                found.setdefault("velocity", max(float(np.quantile(np.abs(s), 0.99)) for s in steps) + 1e-9)
+    series: dict[str, list[Array]] = {
+        o.quantity: [t.output[:, c] for t in case.trajectories] for c, o in enumerate(case.outputs) if o.joint == name
+    }
+    share: dict[str, float] = dict.fromkeys(series, 1.0)
+    if "position" in series and "velocity" not in series:
+        series["velocity"], share["velocity"] = [np.diff(x) / case.dt for x in series["position"]], 0.99  # of noise
+    for quantity, derivative in (("velocity", "acceleration"), ("position", "velocity")):
+        if quantity not in series and derivative in series:
+            series[quantity], share[quantity] = [integral(x, case.dt) for x in series[derivative]], 1.0
+    found = {q: max(*(float(np.quantile(np.abs(x), share[q])) for x in s), 1e-9) for q, s in series.items()}
     rate = found.get("velocity", 1.0)
     angle = found.get("position", rate)
     return angle, rate, found.get("acceleration", rate * rate / angle)
+
+
+def integral(x: Array, dt: float) -> Array:
+    """Return the integral [N] of samples over time, without what is slower than a fifth of the median frequency.
+
+    Drift of a sensor, and the ends of a recording that do not meet, integrate to any size; what a joint swings by
+    does not. Half of the power is below the median frequency.
+    """
+    frequency, spectrum = np.fft.rfftfreq(len(x), dt), np.fft.rfft(x - x.mean())
+    power = np.cumsum(np.abs(spectrum) ** 2)
+    keep = frequency > 0.2 * frequency[np.searchsorted(power, 0.5 * power[-1])]
+    spectrum[keep] /= 2j * np.pi * frequency[keep]
+    spectrum[~keep] = 0.0
+    return np.fft.irfft(spectrum, len(x))

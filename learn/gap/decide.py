@@ -15,9 +15,9 @@ from .search import Model, overdispersion, penalty
 
 #: Family-wise p-value above which nothing is said to be missing.
 ALARM = 0.01
-#: Squares of the base's excess per number, and their root as a share of the motion's rms, above which something is
-#: missing even where no candidate explains any of it: no estimate of the noise is so wrong.
-LACK, LACK_SIZE = 1.0, 0.02
+#: Squares of the base's excess per number above which something is missing even where no candidate explains any of it:
+#: no estimate of the noise is so wrong.
+LACK = 1.0
 #: Squares per number up to which what is left passes for noise, whose size is itself an estimate; and the least share
 #: of the excess that named effects must explain then.
 QUIET, QUIET_EXPLAINED = 1.15, 0.7
@@ -136,10 +136,10 @@ def size(field: Field, model: Model, rms: float) -> float:
     return float(np.sqrt(gained)) / rms
 
 
-def lacks_fit(contest: Contest, base: Model, rms: float) -> bool:
-    """Return whether a base leaves far more than noise, and a part of the motion (``rms`` of noise) that matters."""
+def lacks_fit(contest: Contest, base: Model, least: float) -> bool:
+    """Return whether a base leaves far more than noise, and more in all than the rms ``least``, in units of noise."""
     excess = base.chi2 / contest.num_samples - 1.0
-    return excess > LACK and float(np.sqrt(excess)) > LACK_SIZE * rms
+    return excess > LACK and float(np.sqrt(excess)) > least
 
 
 def known(field: Field, model: Model) -> bool:

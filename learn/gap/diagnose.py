@@ -125,7 +125,8 @@ class Diagnoser:
         level = first_level(contest, basis, scan, self.progress)
         models = level.models + moved(contest, level.models[:2])
         field = self._recoloured(base, Field(contest, Model((), base.fit), models))
-        missing = p_null <= ALARM or lacks_fit(contest, field.base, _over_noise(contest))
+        least = self.settings.tolerance * _over_noise(contest)
+        missing = p_null <= ALARM or lacks_fit(contest, field.base, least)
         for count in range(2, self.settings.max_effects + 1):
             leaders = field.of_size(count - 1)[:LEADERS]
             if not missing or not leaders or not needs_more(field, leaders[0]):
@@ -156,7 +157,7 @@ class Diagnoser:
         rms = _over_noise(contest)
         verdict: VerdictName = "effects" if known(field, model) else "unknown"
         small = p_null > ALARM or size(field, model, rms) < self.settings.tolerance
-        if small and not lacks_fit(contest, field.base, rms):
+        if small and not lacks_fit(contest, field.base, self.settings.tolerance * rms):
             verdict = "none"
         if poor is not None:
             verdict = "unknown"
