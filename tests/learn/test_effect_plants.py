@@ -232,7 +232,7 @@ def test_torque_fit_takes_effects(tmp_path):
     """Need T more at one joint, less as it turns back, and c v |v| at the other; refuse what is not at a joint."""
     case = load_case(write_arm(tmp_path / "arm", unknown=["damping"], seeds=(0,)))
     chosen = torque_recordings(case)
-    acting = (Acting("dry_friction", 1), Acting("quadratic_drag", 0))
+    acting = (Acting("dry_friction", 1, {"bend_rad": 5e-4, "gradual": 0.0}), Acting("quadratic_drag", 0))
     values = torch.tensor([[0.1, 0.2, 0.7, 0.3]])
     plain = EquationError(case, chosen, 1)(values[:, :2])[0, 0].double().numpy().copy()
     rollout = EquationError(case, chosen, 1, unknowns=Unknowns(effects=acting))

@@ -19,7 +19,8 @@ from bough.learn.simulated_case import Experiment, random_branch, write_simulate
 from bough.sim.errors import InputError
 from oracles.effect_case import stick_case
 
-EFFECTS = (Acting("dry_friction", 0, {"torque_Nm": 0.3, "bend_rad": 0.002}), Acting("tip_mass", None, {"mass_kg": 0.1}))
+FRICTION = {"torque_Nm": 0.3, "bend_rad": 0.002, "gradual": 0.5}
+EFFECTS = (Acting("dry_friction", 0, FRICTION), Acting("tip_mass", None, {"mass_kg": 0.1}))
 MODEL = BranchModel("found", ("stick",), np.array([20.0]), np.array([1 / 3]), EFFECTS)
 QUICK = Settings(particles=16, iterations=20)
 SIZE = np.array([[0.5, 0.012, 0.010]])  # of the stick
@@ -50,7 +51,7 @@ def test_refinements_may_be_left_out(tmp_path):
     content = {"format": "branch-model/1", "name": "found", "segments": [STICK], "effects": [hysteresis]}
     (tmp_path / "model.yaml").write_text(yaml.safe_dump(content))
     known = read_model(tmp_path / "model.yaml").effects[0].known
-    assert known == {"share": 0.3, "yield_rad": 0.05, "exponent": 2.0, "separate": 0.0}
+    assert known == {"share": 0.3, "yield_rad": 0.05, "exponent": 2.0, "loading": 1.0, "separate": 0.0}
 
 
 @pytest.mark.parametrize(
@@ -130,7 +131,8 @@ def test_a_diagnosis_writes_sizes_and_medians(tmp_path):
     found = SimpleNamespace(
         case=case, best_values={"stiffness stick": 21.0, "damping stick": 0.4}, effects=(Acting("dry_friction", 0),),
         parameters={"dry_friction@0": {"torque_Nm": Interval(0.3, 0.2, 0.4, "N m"),
-                                       "bend_rad": Interval(0.002, 0.001, 0.003, "rad")}},
+                                       "bend_rad": Interval(0.002, 0.001, 0.003, "rad"),
+                                       "gradual": Interval(0.5, 0.2, 0.9, "1")}},
     )  # fmt: skip
     write_repaired(tmp_path / "model.yaml", found)
     model = read_model(tmp_path / "model.yaml")

@@ -298,7 +298,7 @@ BOX = {
     "cubic_radm2": (0.5, 2.0), "relative": (-0.3, 0.5), "axis_rad": (0.0, 3.0), "torque_Nm": (0.01, 0.1),
     "share": (0.1, 0.3), "yield_rad": (0.02, 0.1), "coefficient_kgpm3": (0.5, 2.0), "relaxation_s": (0.1, 1.0),
     "mass_kg": (0.001, 0.02), "gap_rad": (0.001, 0.01), "moment_s": (0.0, 0.2), "coupling": (-0.3, 0.3),
-    "frequency_Hz": (0.5, 3.0),
+    "frequency_Hz": (0.5, 3.0), "exponent": (1.0, 2.0),
 }  # fmt: skip
 
 

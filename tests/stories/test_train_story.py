@@ -69,12 +69,11 @@ def test_a_run_among_branches_with_effects(bough, tmp_path):
     assert done.code == 0 and "left out: time_delay: of the measurement" in done.err, done.err
     spring = SEGMENTS[1]["stiffness_Nmprad"]
     expected = [["tip_mass", "mass_kg", 0.08], ["dry_friction", "torque_Nm", 0.21 / spring],
-                ["dry_friction", "bend_rad", 0.0]]  # fmt: skip
+                ["dry_friction", "bend_rad", 0.0], ["dry_friction", "gradual", 0.0]]  # fmt: skip
     assert settings(out)["scene"]["effects"] == expected
     report = (out / "report.html").read_text()
-    assert (
-        f"tip_mass (mass_kg 0.08), dry_friction (torque_Nm over its spring {0.21 / spring:.3g}, bend_rad 0)" in report
-    )
+    friction = f"dry_friction (torque_Nm over its spring {0.21 / spring:.3g}, bend_rad 0, gradual 0)"
+    assert f"tip_mass (mass_kg 0.08), {friction}" in report
     done = bough("evaluate", out, "--sets", 1, "--worlds", 8, "--device", "cpu")
     assert done.code == 0, done.err
     done = bough("train", "powerline", "--out", out, "--resume", "--iterations", 2)
