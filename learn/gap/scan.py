@@ -94,6 +94,7 @@ def look(contest: Contest, basis: Basis, probes: Sequence[Probe], residuals: tor
     weight = basis.fit.rows.weight[0]
     change = change * weight.repeat_interleave(change.shape[1] // len(weight))
     imitated, change = basis.split(change)
+    imitated = imitated[:, : len(basis.columns)]
     left = basis.free_of(residuals)
     gain = left.new_zeros(len(residuals), len(probes))
     strength, taken = [], []
@@ -102,7 +103,7 @@ def look(contest: Contest, basis: Basis, probes: Sequence[Probe], residuals: tor
         found, explained = _explained(own, left, bounded=not probe.moved)
         gain[:, k] = explained
         strength.append(found[0])
-        taken.append(found[0] @ imitated[owner == k][:, : len(basis.columns)])
+        taken.append(found[0] @ imitated[owner == k])
     return Scan(list(probes), gain, strength, [1] * len(probes), torch.stack(taken))
 
 

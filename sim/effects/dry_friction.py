@@ -8,7 +8,7 @@ from ...kernels.algebra import add, div, mul, norm, sub
 from ...kernels.real import fma, real, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
-#: Least angle (or way) over which asperities bend before they slip [rad or m].
+#: Least angle over which asperities bend before they slip in a branch [rad].
 BEND = wp.constant(wp.float64(5.0e-4))
 
 
@@ -53,7 +53,6 @@ _BEND_AT_JOINT = EffectParameter(
     "bend_rad", "rad", lambda s: 3e-4 * s.angle, lambda s: 0.03 * s.angle, neutral=5e-4, scale="log", tries=1,
     typical=lambda s: 1e-3 * s.angle, optional=True,
 )  # fmt: skip
-
 _GRADUAL = EffectParameter("gradual", "1", 0.0, 1.0, tries=1, optional=True)
 
 EFFECT = register(

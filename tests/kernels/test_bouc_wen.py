@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-import warp as wp
-from bough.kernels.effects import effect_types
 from bough.sim.effects import effect_of
+from oracles.turned_joint import turner
 
-T = effect_types(1, 32)
-JointState, Response, Parameters, Vec = T.JointState, T.Response, T.Parameters, T.Vec
-LAW = effect_of("hysteresis_boucwen").branch.law
+along_path = turner(effect_of("hysteresis_boucwen").branch.law)
 Y, STEPS = 0.05, 4000
 
 
@@ -35,28 +32,9 @@ def none_left(n, loading, z):
     return np.log(1 + rest * z) / rest if n == 1.0 else np.arctan(z * np.sqrt(rest)) / np.sqrt(rest)
 
 
-@wp.kernel(module="unique")
-def turn(
-    path_in: wp.array(dtype=wp.vec3), y: float, n: float, loading: float, m: float, torque_out: wp.array(dtype=wp.vec3)
-):
-    """Turn a joint of unit stiffness along a path, a step of 1 s from one place to the next, and write the torque."""
-    none, z = Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0)
-    for k in range(path_in.shape[0]):
-        rate = path_in[k]
-        if k > 0:
-            rate = path_in[k] - path_in[k - 1]
-        j = JointState(none, Vec(rate[0], rate[1], rate[2]), 1.0, 0.0, 1.0)
-        r = LAW(j, Parameters(1.0, y, n, loading, m, 0.0), Response(none, z, 0.0, 0.0))
-        z = r.memory
-        torque_out[k] = wp.vec3(r.torque.x, r.torque.y, r.torque.z)
-
-
 def turned(path, n, m, loading=1.0):
     """Return the torque along a path [samples, 3]."""
-    given = wp.array(path, dtype=wp.vec3, device="cpu")
-    out = wp.full(len(path), wp.vec3(np.nan, np.nan, np.nan), dtype=wp.vec3, device="cpu")
-    wp.launch(turn, dim=1, inputs=[given, Y, n, loading, m], outputs=[out], device="cpu")
-    return out.numpy()
+    return along_path(path, 1.0, Y, n, loading, m)
 
 
 def to_and_fro(far):

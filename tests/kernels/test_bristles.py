@@ -2,38 +2,17 @@
 
 import numpy as np
 import pytest
-import warp as wp
-from bough.kernels.effects import effect_types
 from bough.sim.effects import effect_of
+from oracles.turned_joint import turner
 
-T = effect_types(1, 32)
-JointState, Response, Parameters, Vec = T.JointState, T.Response, T.Parameters, T.Vec
-LAW = effect_of("dry_friction").branch.law
+along_path = turner(effect_of("dry_friction").branch.law)
 Y, STEPS = 0.02, 4000
 CLOSE = 0.2 / STEPS / Y  # of T: one step's turn over the bend; the law's step is of first order
 
 
-@wp.kernel(module="unique")
-def turn(path_in: wp.array(dtype=wp.vec3), y: float, gradual: float, torque_out: wp.array(dtype=wp.vec3)):
-    """Turn a joint along a path, a step of 1 s from one place to the next, and write the torque for T = 1."""
-    none, z = Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0)
-    for k in range(path_in.shape[0]):
-        rate = path_in[k]
-        if k > 0:
-            rate = path_in[k] - path_in[k - 1]
-        j = JointState(none, Vec(rate[0], rate[1], rate[2]), 1.0, 0.0, 1.0)
-        r = LAW(j, Parameters(1.0, y, gradual, 0.0, 0.0, 0.0), Response(none, z, 0.0, 0.0))
-        z = r.memory
-        # the damper's share of the torque is the simulator's to add
-        torque_out[k] = wp.vec3(r.torque.x, r.torque.y, r.torque.z) - r.damping * rate
-
-
 def turned(path, gradual):
-    """Return the torque along a path [samples, 3]."""
-    given = wp.array(path, dtype=wp.vec3, device="cpu")
-    out = wp.full(len(path), wp.vec3(np.nan, np.nan, np.nan), dtype=wp.vec3, device="cpu")
-    wp.launch(turn, dim=1, inputs=[given, Y, gradual], outputs=[out], device="cpu")
-    return out.numpy()
+    """Return the torque along a path [samples, 3], for T = 1."""
+    return along_path(path, 1.0, Y, gradual)
 
 
 def bend(x, start, gradual):

@@ -1,0 +1,40 @@
+"""A joint that is turned along a given path, and the torque that an effect's law answers with."""
+
+import numpy as np
+import warp as wp
+from bough.kernels.effects import effect_types
+
+_T = effect_types(1, 32)
+_JointState, _Response, _Parameters, _Vec = _T.JointState, _T.Response, _T.Parameters, _T.Vec
+COUNT = 6  # of numbers in a law's parameters
+
+
+def turner(law):
+    """Return ``turned(path, *parameters)``: the torque [samples, 3] along a path from rest at zero, for K = 1.
+
+    A step of 1 s from one place to the next. The damper that a law leaves to the simulator is added.
+    """
+
+    @wp.kernel(module="unique")
+    def turn(
+        path_in: wp.array(dtype=wp.vec3), a: float, b: float, c: float, d: float, e: float, f: float,
+        torque_out: wp.array(dtype=wp.vec3),
+    ):  # fmt: skip
+        none, z = _Vec(0.0, 0.0, 0.0), _Vec(0.0, 0.0, 0.0)
+        for k in range(path_in.shape[0]):
+            rate = path_in[k]
+            if k > 0:
+                rate = path_in[k] - path_in[k - 1]
+            j = _JointState(none, _Vec(rate[0], rate[1], rate[2]), 1.0, 0.0, 1.0)
+            r = law(j, _Parameters(a, b, c, d, e, f), _Response(none, z, 0.0, 0.0))
+            z = r.memory
+            torque_out[k] = wp.vec3(r.torque.x, r.torque.y, r.torque.z) - r.damping * rate
+
+    def turned(path, *parameters):
+        given = wp.array(path, dtype=wp.vec3, device="cpu")
+        out = wp.full(len(path), wp.vec3(np.nan, np.nan, np.nan), dtype=wp.vec3, device="cpu")
+        rest = [0.0] * (COUNT - len(parameters))
+        wp.launch(turn, dim=1, inputs=[given, *parameters, *rest], outputs=[out], device="cpu")
+        return out.numpy()
+
+    return turned
