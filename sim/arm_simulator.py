@@ -263,11 +263,12 @@ class ArmSimulator(Simulator):
     def reset(self, mask: torch.Tensor | None = None) -> None:
         """Put the masked worlds (bool, [worlds]; None is all) back: branches to their start, the arm to `start_q`."""
         super().reset(mask)
-        if self.rupture is not None:
-            mask = self._everyone if mask is None else mask.to(self._everyone.device)
-            healed: Any = wp.from_torch(mask.contiguous(), dtype=wp.bool)
-            self.rupture.heal(healed)
         self.look()
+
+    def _reset(self, chosen: wp.array) -> None:
+        super()._reset(chosen)
+        if self.rupture is not None:
+            self.rupture.heal(chosen)
 
     def _record_resets(self, chosen: wp.array) -> list[Any]:
         kernel, m = reset_arm_kernel(self.arm.num_dofs), self.model

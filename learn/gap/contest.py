@@ -28,8 +28,9 @@ from .candidates import Candidate, everywhere
 
 #: Sets of parameters in one launch; what is left over runs in launches of the second size.
 LAUNCH, SMALL = 128, 16
-#: Step for derivatives, in the reach of a free coordinate and in the scale of start states.
-STEP = 0.01
+#: Step for derivatives, in the reach of a free coordinate and in the scale of start states: wide, for it sees past the
+#: small waves of a rugged misfit, and narrow, for it does not bend the derivative of a law that is.
+STEP, NARROW = 0.01, 0.002
 #: Deviation of a base parameter's free coordinate about its typical value; of an effect's, in half widths of its box.
 BASE_SPREAD, EFFECT_SPREAD = 3.0, 1.0
 
@@ -112,7 +113,8 @@ class Contest:
         low, high = box_of(self.parameters)
         self.low, self.high = low.to(self.place), high.to(self.place)
         self._prior()
-        self._stack(torch.as_tensor(sigma, dtype=torch.float64, device=self.place))
+        self._stack()
+        self.weigh(sigma)
         self.colour: Colour | None = None
         self.overdispersion = 1.0
         self._stiffen()
@@ -163,18 +165,23 @@ class Contest:
                 if spec.reach is not None:
                     self.reach[column] = spec.reach(setting) if callable(spec.reach) else spec.reach
 
-    def _stack(self, sigma: torch.Tensor) -> None:
-        longest, channels = max(len(r.t) for r in self.recordings), len(sigma)
+    def _stack(self) -> None:
+        longest, channels = max(len(r.t) for r in self.recordings), self.recordings[0].output.shape[1]
         self.measured = torch.zeros(len(self.recordings), longest, channels, dtype=torch.float64, device=self.place)
-        self._scale = torch.zeros_like(self.measured)
-        inverse = torch.where(sigma > 0.0, 1.0 / torch.where(sigma > 0.0, sigma, 1.0), 0.0)
         for j, r in enumerate(self.recordings):
             self.measured[j, : len(r.t)] = torch.as_tensor(r.output, device=self.place)
-            self._scale[j, : len(r.t)] = inverse
-        self.sigma = sigma
-        self.num_samples = int((self._scale > 0.0).sum())
         self.start0 = torch.stack([torch.as_tensor(r.start) for r in self.recordings]).to(self.place)
         self.start_scale = max(float(self.measured.abs().max()), 1e-9)
+
+    def weigh(self, sigma: Array) -> None:
+        """Take the noise of the channels, shape [C], to be this; a channel of noise zero does not count."""
+        self.sigma = torch.as_tensor(sigma, dtype=torch.float64, device=self.place)
+        used = self.sigma > 0.0
+        inverse = torch.where(used, 1.0 / torch.where(used, self.sigma, 1.0), 0.0)
+        self._scale = torch.zeros_like(self.measured)
+        for j, r in enumerate(self.recordings):
+            self._scale[j, : len(r.t)] = inverse
+        self.num_samples = int((self._scale > 0.0).sum())
 
     @property
     def world_steps(self) -> int:
@@ -215,14 +222,22 @@ class Contest:
         out = self.whiten(self.measured - self.simulate(self.values(rows), rows.start))
         return out * rows.weight[:, :, None, None]
 
-    def linearise(self, rows: Rows) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def linearise(
+        self, rows: Rows, steps: torch.Tensor | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return residuals [S, R, T, C], derivatives of the whitened simulation and what they are taken by.
+
+        Args:
+            rows: The models.
+            steps: Of every row's derivatives, shape [S]; STEP for all if not given.
 
         Derivatives have the shape [S, p, R, T, C], p the largest number of free entries of a row (parameters, then
         start states, which act on their own recording); entries past a row's own are zero. The third result holds
         the columns of the parameters, shape [S, q], -1 past a row's own.
         """
         count, local = len(rows), self.start0[0].numel()
+        if steps is None:
+            steps = rows.free.new_full((count,), STEP)
         most = int(rows.active.sum(1).max())
         order = torch.argsort(rows.active.to(torch.int8), dim=1, descending=True, stable=True)[:, :most]
         columns = torch.where(torch.gather(rows.active, 1, order), order, -1)
@@ -230,13 +245,14 @@ class Contest:
         moved = rows[who]
         at = (torch.arange(len(who), device=self.place), columns[who, which])
         # inwards from the upper end of the box, so that no effect is tried beyond it
-        step = STEP * self.reach[at[1]]
+        step = steps[who] * self.reach[at[1]]
         step = torch.where(moved.free[at] + step > self.high[at[1]], -step, step)
         moved.free[at] += step
         values, start = [self.values(rows), self.values(moved)], [rows.start, moved.start]
+        apart = steps * self.start_scale
         for k in range(local):
             shifted = rows.start.clone().flatten(2)
-            shifted[:, :, k] += STEP * self.start_scale
+            shifted[:, :, k] += apart[:, None]
             values.append(values[0])
             start.append(shifted.view_as(rows.start))
         out = self.simulate(torch.cat(values), torch.cat(start))
@@ -247,7 +263,7 @@ class Contest:
         derivative[who, which] = change * weight[who]
         for k in range(local):
             at_start = out[count + len(who) + k * count :][:count]
-            change = self.whiten(at_start - base) * weight / (STEP * self.start_scale)
+            change = self.whiten(at_start - base) * weight / apart[:, None, None, None]
             for j in range(len(self.recordings)):
                 derivative[:, most + j * local + k, j] = change[:, j]
         return self.whiten(self.measured - base) * weight, derivative, columns

@@ -116,7 +116,7 @@ class Diagnoser:
     def search(self, base: Base) -> tuple[Field, float]:
         """Fit all candidates that are worth it; return them and the family-wise p-value."""
         clock, contest = time.perf_counter(), base.contest
-        basis, scan = first_look(contest, base.fit, nulls(contest, base.fit.rows, base.force_sigma, self.settings.seed))
+        basis, scan = first_look(contest, base.fit, nulls(base, self.settings.seed))
         self.progress("looking", 1)
         left = float(base.fit.chi2[0] - scan.gain[0].max())
         p_null = family_wise(scan, overdispersion(contest, left))
@@ -286,7 +286,7 @@ def held_out_gap(case: BranchCase | JointCase, base: Base, plain: Model, final: 
     out = contest.simulate(contest.values(fitted), _held_start(contest, fitted))
     main = list(main_channels(case))
     misfit = [_rms(contest, out[s], test, main) for s in range(2)]
-    floor = float(np.sqrt(np.mean(base.sigma[main] ** 2)))
+    floor = float(np.sqrt(np.mean(base.noise.sigma[main] ** 2)))
     return Gap(misfit[0], misfit[1], floor, unit_of(case), tuple(test))
 
 

@@ -15,22 +15,23 @@ from ..rollout import Rollout
 from .contest import Contest, Rows
 from .refit import Fits, fit
 from .scan import Scan
+from .setup import Base
 
 #: Simulated nulls, and steps of a refit without one profile.
 NULLS, REFIT = 48, 4
 
 
-def nulls(contest: Contest, row: Rows, force_sigma: Array | None, seed: int) -> torch.Tensor:
+def nulls(base: Base, seed: int) -> torch.Tensor:
     """Return whitened residuals of experiments in which nothing is missing, shape [NULLS, N].
 
     Parametric bootstrap: the base model is the truth, driven by the recorded force; sensors of force and motion add
     their noise, and the base model is driven by what the force's sensor then reads.
     """
+    contest, force_sigma = base.contest, base.force_sigma
     generator = np.random.default_rng(seed)
-    noise = torch.as_tensor(generator.standard_normal((NULLS, *contest.measured.shape)), device=contest.place)
-    change = noise * contest.sigma
+    change = torch.as_tensor(base.noise.draw(generator, (NULLS, *contest.measured.shape)), device=contest.place)
     if isinstance(contest.case, BranchCase) and force_sigma is not None and float(force_sigma.max()) > 0.0:
-        change = change - _felt(contest, row, force_sigma, generator)
+        change = change - _felt(contest, base.fit.rows, force_sigma, generator)
     return contest.whiten(change).flatten(1)
 
 

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import torch
 
-from .contest import Contest, Rows, prior_of
+from .contest import NARROW, STEP, Contest, Rows, prior_of
 
 #: Rows of which derivatives are held at once.
 TOGETHER = 24
+#: Damping that a fit sets out with.
+DAMPING = 1e-3
 #: Longest step of a free coordinate, in its reach.
 LONGEST = 1.0
 #: Solutions of one step at most, each with the entries held that left their bounds in the one before.
@@ -64,16 +66,21 @@ def fit(contest: Contest, rows: Rows, iterations: int, progress: Callable[[int],
 
 
 def _climb(contest: Contest, rows: Rows, iterations: int) -> Fits:
+    """Fit with derivatives over wide steps, and each row that has settled with narrow ones on from there."""
     fits = evaluated(contest, rows)
+    steps = torch.full_like(fits.cost, STEP)
     for _ in range(iterations):
-        residual, derivative, columns = contest.linearise(fits.rows)
+        residual, derivative, columns = contest.linearise(fits.rows, steps)
         moved = _step(contest, fits, residual, derivative, columns)
         trial = evaluated(contest, moved)
         better = trial.cost < fits.cost
         settled = better & (fits.cost - trial.cost < 1e-4 * fits.cost.clamp(min=1.0))
         fits = _where(better, trial, fits)
-        if bool((settled | (fits.damping > 1e6)).all()):
+        settled |= fits.damping > 1e6
+        if bool((settled & (steps == NARROW)).all()):
             break
+        fits.damping = torch.where(settled & (steps == STEP), DAMPING, fits.damping)
+        steps = torch.where(settled, NARROW, steps)
     return fits
 
 
@@ -81,7 +88,7 @@ def evaluated(contest: Contest, rows: Rows) -> Fits:
     """Return rows with their misfit, without a step."""
     residual = contest.residual(rows).flatten(1)
     nuisance, chi2, penalty = _absorbed(contest, residual, rows)
-    return Fits(rows, chi2, chi2 + penalty + prior_of(contest, rows), nuisance, torch.full_like(chi2, 1e-3))
+    return Fits(rows, chi2, chi2 + penalty + prior_of(contest, rows), nuisance, torch.full_like(chi2, DAMPING))
 
 
 def _absorbed(contest: Contest, residual: torch.Tensor, rows: Rows) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

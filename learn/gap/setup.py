@@ -17,6 +17,7 @@ from ..input_noise import input_colour
 from ..posterior import initial_vectors
 from ..rollout import Rollout
 from ..target import Target
+from .at_rest import Noise, noise_at_rest
 from .contest import Contest, Rows
 from .refit import Fits, evaluated, fit
 
@@ -36,13 +37,13 @@ class Base:
     Attributes:
         contest: Its models.
         fit: The base model's fit, one row.
-        sigma: Noise of the channels, shape [C].
+        noise: Noise of the channels.
         force_sigma: Noise of a branch's force [N], shape [3], or None.
     """
 
     contest: Contest
     fit: Fits
-    sigma: Array
+    noise: Noise
     force_sigma: Array | None
 
 
@@ -54,7 +55,7 @@ def base_of(case: BranchCase | JointCase, names: Sequence[str], seed: int, *, fi
     recordings = [thinned(case, r) for r in every]
     if not fitted:
         contest = Contest(case, recordings, np.where(sigma > 0.0, sigma, 1.0), names)  # zeros have no noise to weigh by
-        return Base(contest, evaluated(contest, contest.rows(1)), sigma, force_sigma)
+        return Base(contest, evaluated(contest, contest.rows(1)), Noise(sigma), force_sigma)
     target = Target(case, recordings, torch.as_tensor(sigma))
     starts = initial_vectors(target, STARTS, torch.Generator().manual_seed(seed))
     modes = find_modes(target, starts)
@@ -64,13 +65,17 @@ def base_of(case: BranchCase | JointCase, names: Sequence[str], seed: int, *, fi
     row.free[:, : contest.num_base] = u
     row = Rows(row.free, row.active, start, row.weight)
     fits = fit(contest, row, 3)
+    seen = noise_at_rest(contest, fits.rows)
+    if seen.spectrum:
+        contest.weigh(seen.sigma)
+        fits = fit(contest, fits.rows, 3)
     if isinstance(case, BranchCase) and force_sigma is not None:
         colour(contest, fits.rows, force_sigma)
         add_wood(contest, fits.rows)
         fits = fit(contest, fits.rows, 3)
         contest.overdispersion = max(1.0, float(fits.chi2[0]) / contest.num_samples)
         fits = fit(contest, fits.rows, 4)
-    return Base(contest, fits, sigma, force_sigma)
+    return Base(contest, fits, seen, force_sigma)
 
 
 def colour(contest: Contest, row: Rows, force_sigma: Array) -> None:
