@@ -135,7 +135,8 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
             if everything == 1 or kept[row] == 0:
                 for i in range(m.count[e] + 1):
                     z = fx.memory[e, row * fx.stride + i]
-                    fx.memory[e, row * fx.stride + i] = z - z
+                    o = real(0.0, z.x)  # no difference of the memory itself: what is not a number would stay so
+                    fx.memory[e, row * fx.stride + i] = type(z)(o, o, o)
 
     forget = wp.func(forget, name=f"forget_{key}")
 
@@ -173,14 +174,15 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
         for _ in range(SETTLING):
             for i in range(1, m.count[e] + 1):
                 v = x.velocity[e, i]
-                x.velocity[e, i] = v - v
+                o = real(0.0, v.x)
+                x.velocity[e, i] = type(v)(o, o, o)
             advance(e, row, m, x, u, fx, s, SETTLING_STEP, time, bound, still)
         mark = fx.settle[e]
         for i in range(1, m.count[e] + 1):
             v = x.velocity[e, i]
             q = x.coordinate[e, i]
             o = real(0.0, q.x)
-            x.velocity[e, i] = v - v
+            x.velocity[e, i] = type(v)(o, o, o)
             x.coordinate[e, i] = type(q)(
                 where_neg(o - mark, q.w, real(1.0, o)),
                 where_neg(o - mark, q.x, o), where_neg(o - mark, q.y, o), where_neg(o - mark, q.z, o),

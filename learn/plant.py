@@ -75,6 +75,16 @@ def box_of(parameters: Sequence[Parameter]) -> tuple[torch.Tensor, torch.Tensor]
     return ends[:, 0], ends[:, 1]
 
 
+def tails_of(parameters: Sequence[Parameter]) -> torch.Tensor:
+    """Return how far the prior reaches beyond the box, in free coordinates, float64, shape [n].
+
+    A tenth of an e-fold, or a twentieth of the box of a parameter without logarithm: a number such as an exponent
+    between one and two means nothing far outside.
+    """
+    tails = [0.1 if p.scale == "log" else 0.05 * (p.high - p.low) for p in parameters]
+    return torch.tensor(tails, dtype=torch.float64)
+
+
 def values_of(parameters: Sequence[Parameter], free: torch.Tensor) -> torch.Tensor:
     """Return values in SI units from free coordinates, shapes [..., n]."""
     log = torch.tensor([p.scale == "log" for p in parameters], device=free.device)

@@ -28,22 +28,23 @@ class SmoothBox(Prior):
     Args:
         low: Lower ends, shape [n].
         high: Upper ends, shape [n].
-        sigma: Width of the tails, in units of the logarithm.
+        sigma: Width of the tails, of all entries or of each, shape [n]; in units of the logarithm where that is taken.
     """
 
     low: torch.Tensor
     high: torch.Tensor
+    sigma: torch.Tensor
 
-    def __init__(self, low: torch.Tensor, high: torch.Tensor, sigma: float = 0.1) -> None:
+    def __init__(self, low: torch.Tensor, high: torch.Tensor, sigma: float | torch.Tensor = 0.1) -> None:
         super().__init__()
         self.register_buffer("low", low)
         self.register_buffer("high", high)
-        self.sigma = sigma
+        self.register_buffer("sigma", torch.as_tensor(sigma, dtype=low.dtype).expand_as(low).clone())
 
     def forward(self, theta: torch.Tensor) -> torch.Tensor:
         """Return the log density, shape [...]."""
         distance = torch.clamp(self.low - theta, min=0.0) + torch.clamp(theta - self.high, min=0.0)
-        return -(distance**2).sum(-1) / (2.0 * self.sigma**2)
+        return -0.5 * ((distance / self.sigma) ** 2).sum(-1)
 
 
 class Normal(Prior):

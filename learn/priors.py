@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ..sim.errors import InputError
-from .plant import Plant, box_of
+from .plant import Plant, box_of, tails_of
 from .plant_branch import BranchPlant
 from .prior import Normal, Prior, Product, SmoothBox
 from .prior_earlier import read_earlier
@@ -32,7 +32,8 @@ def make_prior(names: Sequence[str], plant: Plant) -> Prior:
     Raises:
         InputError: A name is none of these, or does not fit the plant.
     """
-    return Product([SmoothBox(*box_of(plant.parameters)), *(_one(name, plant) for name in names if name != "box")])
+    box = SmoothBox(*box_of(plant.parameters), tails_of(plant.parameters))
+    return Product([box, *(_one(name, plant) for name in names if name != "box")])
 
 
 def _one(name: str, plant: Plant) -> Prior:

@@ -16,7 +16,7 @@ import torch
 from .case import BranchCase, JointCase
 from .equation_error import simulation_of
 from .input_noise import Colour
-from .plant import box_of, values_of
+from .plant import box_of, tails_of, values_of
 from .plant_branch import Unknowns
 from .prior import Blocks, Normal, Prior, SmoothBox
 from .rollout import Recording, Rollout
@@ -45,6 +45,8 @@ class Target:
     Attributes:
         num_dims: Length D of theta.
         sigma0: Noise estimate of every channel, shape [C].
+        box: Ends of the parameters' box in free coordinates, shapes [n].
+        linear: Which parameters have no logarithm, shape [n].
         colour: How noise of the measured force correlates the residuals; None takes them for white.
         lean: Slope of the noise that the free coordinates let through, shape [n], and where it was taken; see
             `input_noise`.
@@ -76,7 +78,8 @@ class Target:
         self._stack_outputs()
         low, high = box_of(self.plant.parameters)
         self.box = (low.to(self.place), high.to(self.place))
-        self.prior = self._prior(prior or SmoothBox(*self.box))
+        self.linear = torch.tensor([p.scale == "linear" for p in self.plant.parameters], device=self.place)
+        self.prior = self._prior(prior or SmoothBox(*self.box, tails_of(self.plant.parameters).to(self.place)))
 
     def _stack_outputs(self) -> None:
         longest = max(len(r.t) for r in self.recordings)

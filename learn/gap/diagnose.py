@@ -341,12 +341,14 @@ def ranking(field: Field, model: Model, deep: bool) -> tuple[Rival, ...]:
 
 
 def intervals(field: Field, model: Model, posterior: Posterior | None) -> dict[str, dict[str, Interval]]:
-    """Return medians and 95 % intervals of the effects' parameters, by the posterior or the curvature at the fit."""
+    """Return medians and 95 % intervals of the effects' parameters, by the posterior or the curvature at the fit.
+
+    Intervals end where the box does: beyond it a law means nothing.
+    """
     contest, fits = field.contest, model.fit
     if posterior is not None:
-        middle, low, high = posterior.interval()
-        found = {n: Interval(float(m), float(a), float(b), u) for n, u, m, a, b in
-                 zip(posterior.names, posterior.units, middle, low, high, strict=True)}  # fmt: skip
+        found = {p.name: _inside(p, [float(x) for x in row]) for p, row in
+                 zip(posterior.parameters, zip(*posterior.interval(), strict=True), strict=True)}  # fmt: skip
         own = [contest.candidates[c] for c in model.members]
         return {c.acting.label: {s.name: found[f"{c.acting.label} {s.name}"] for s in c.specs} for c in own}
     residual, derivative, columns = contest.linearise(fits.rows)
@@ -367,8 +369,12 @@ def intervals(field: Field, model: Model, posterior: Posterior | None) -> dict[s
 
 def _interval(parameter: Parameter, free: float, spread: float) -> Interval:
     ends = [free, free - 1.96 * spread, free + 1.96 * spread]
-    values = [float(np.exp(min(x, 700.0))) if parameter.scale == "log" else x for x in ends]
-    return Interval(values[0], values[1], values[2], parameter.unit)
+    return _inside(parameter, [float(np.exp(min(x, 700.0))) if parameter.scale == "log" else x for x in ends])
+
+
+def _inside(parameter: Parameter, values: Sequence[float]) -> Interval:
+    middle, low, high = (min(max(x, parameter.low), parameter.high) for x in values)
+    return Interval(middle, low, high, parameter.unit)
 
 
 def sentence(

@@ -120,6 +120,22 @@ def test_grasp_slip_is_the_hidden_simulators(tmp_path, mobility):
     np.testing.assert_allclose(ours[-1, :3], wanted.moved[0, -1], atol=1e-5)  # at rest: the slide alone
 
 
+@pytest.mark.parametrize("form", ["branch", "joint"])
+def test_a_replay_does_not_remember_the_one_before(tmp_path, form):
+    """Replay with memories, rates, poses and guards left as a world that blew up leaves them: the same bits."""
+    case = stick_case(tmp_path / "c", [push()]) if form == "branch" else swing_case(tmp_path / "c", [(0.3, 0.0)])
+    rollout = Rollout(case, recordings(case), 1, unknowns=Unknowns(effects=(Acting("hysteresis_boucwen", 0),)))
+    values = torch.tensor([[KS, DS, 0.6, 0.06, 1.4, 0.7, 0.6][: len(rollout.plant.parameters)]], dtype=torch.float64)
+    first = rollout(values).clone()
+    for name in ("memory", "effort", "hold"):
+        rollout.effects.arrays[name].torch.fill_(torch.nan)
+    for array in (rollout.simulator.state.coordinate, rollout.simulator.state.velocity):
+        array.torch.fill_(torch.nan)
+    rollout.simulator.state.alive.torch.zero_()
+    assert first.abs().max() > 1e-3
+    assert torch.equal(rollout(values), first)
+
+
 # ---- recovery ------------------------------------------------------------------------------------------------------
 
 BRANCH_TRUTH = {
