@@ -11,10 +11,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 #: Files that take minutes, longest first. They begin first, so that no worker is left with one when the other is done.
 LONG = (
-    "learn/test_gap.py", "test_repository.py", "stories/test_diagnose_story.py", "stories/test_identify_story.py",
-    "learn/test_chapter3.py", "sim/test_contact_worlds.py", "sim/test_contact.py", "stories/test_simulate_story.py",
-    "kernels/test_ptx.py", "sim/test_gpu_ready.py", "sim/test_simulator_effects.py", "learn/test_identify.py",
-    "learn/test_chapter5.py", "sim/test_simulator.py", "kernels/test_effects.py",
+    "learn/test_gap.py", "test_repository.py", "stories/test_diagnose_story.py", "stories/test_train_story.py",
+    "stories/test_identify_story.py", "learn/test_gap_real.py", "learn/test_chapter3.py", "sim/test_contact_worlds.py",
+    "sim/test_contact.py", "stories/test_simulate_story.py", "kernels/test_ptx.py", "sim/test_gpu_ready.py",
+    "sim/test_simulator_effects.py", "learn/test_identify.py", "learn/test_chapter5.py", "sim/test_simulator.py",
+    "kernels/test_effects.py", "learn/test_gap_joints.py", "learn/test_effect_plants.py",
 )  # fmt: skip
 
 
