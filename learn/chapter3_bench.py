@@ -12,10 +12,9 @@ import torch
 
 from .case import BranchCase
 from .mixture import Mixture, scott_bandwidth
-from .plant import box_of
 from .plant_branch import Unknowns
 from .plants import plant_of
-from .prior import Prior, Product, SmoothBox
+from .prior import Prior, Product, box_prior
 from .prior_learnt import InequalityPrior, chain_pairs
 from .rollout import Recording, recordings
 from .simulated_case import Experiment, random_branch, write_simulated_case
@@ -89,7 +88,7 @@ class Bench:
         loss: Loss = "published",
     ) -> Target:  # fmt: skip
         """Return the log posterior, with the inequality prior of sharpness ``eta`` or, where None, the box alone."""
-        box = SmoothBox(*box_of(self.plant.parameters))
+        box = box_prior(self.plant.parameters)
         names = [p.name for p in self.plant.parameters]
         prior: Prior = box if eta is None else Product([box, InequalityPrior(chain_pairs(names), eta)])
         used = self.train if chosen is None else chosen

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
+from .plant import least_precision
 from .target import Target
 
 #: A climb is over when a round of six iterations gains less than this in log density, or after so many rounds.
@@ -252,11 +253,8 @@ def precision_at(target: Target, theta: torch.Tensor) -> torch.Tensor:
     full[:, :free, :free] = rows.transpose(1, 2) @ rows
     for g in range(target.num_noise):
         full[:, free + g, free + g] = 2.0 * target.per_group[g]
-    # a floor on what the data do not determine, so that no particle is thrown across decades or out of its box: one
-    # e-fold, or the variance of a flat box
     floor = torch.ones(target.num_dims, dtype=torch.float64, device=theta.device)
-    width = target.box[1] - target.box[0]
-    floor[: target.num_parameters] = torch.where(target.linear, 12.0 / width**2, 1.0)
+    floor[: target.num_parameters] = least_precision(target.plant.parameters)
     return full + prior_curvature(target, theta) + torch.diag(floor)
 
 

@@ -85,6 +85,15 @@ def tails_of(parameters: Sequence[Parameter]) -> torch.Tensor:
     return torch.tensor(tails, dtype=torch.float64)
 
 
+def least_precision(parameters: Sequence[Parameter]) -> torch.Tensor:
+    """Return the precision of free coordinates that no data show, float64, shape [n].
+
+    That of one e-fold, or of a flat box for a parameter without logarithm: no particle is thrown farther.
+    """
+    least = [1.0 if p.scale == "log" else 12.0 / (p.high - p.low) ** 2 for p in parameters]
+    return torch.tensor(least, dtype=torch.float64)
+
+
 def values_of(parameters: Sequence[Parameter], free: torch.Tensor) -> torch.Tensor:
     """Return values in SI units from free coordinates, shapes [..., n]."""
     log = torch.tensor([p.scale == "log" for p in parameters], device=free.device)

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 
 import torch
 
+from .plant import Parameter, box_of, tails_of
+
 
 class Prior(torch.nn.Module):
     """A log density, up to a constant, of vectors [..., n]."""
@@ -45,6 +47,11 @@ class SmoothBox(Prior):
         """Return the log density, shape [...]."""
         distance = torch.clamp(self.low - theta, min=0.0) + torch.clamp(theta - self.high, min=0.0)
         return -0.5 * ((distance / self.sigma) ** 2).sum(-1)
+
+
+def box_prior(parameters: Sequence[Parameter]) -> SmoothBox:
+    """Return the smooth box of parameters, with the tails that each one's scale asks for."""
+    return SmoothBox(*box_of(parameters), tails_of(parameters))
 
 
 class Normal(Prior):

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 
 from ..sim.errors import InputError
-from .plant import Plant, box_of, tails_of
+from .plant import Plant
 from .plant_branch import BranchPlant
-from .prior import Normal, Prior, Product, SmoothBox
+from .prior import Normal, Prior, Product, box_prior
 from .prior_earlier import read_earlier
 from .prior_learnt import GeometryPrior, InequalityPrior, chain_pairs
 
@@ -32,8 +32,7 @@ def make_prior(names: Sequence[str], plant: Plant) -> Prior:
     Raises:
         InputError: A name is none of these, or does not fit the plant.
     """
-    box = SmoothBox(*box_of(plant.parameters), tails_of(plant.parameters))
-    return Product([box, *(_one(name, plant) for name in names if name != "box")])
+    return Product([box_prior(plant.parameters), *(_one(name, plant) for name in names if name != "box")])
 
 
 def _one(name: str, plant: Plant) -> Prior:

@@ -16,9 +16,9 @@ import torch
 from .case import BranchCase, JointCase
 from .equation_error import simulation_of
 from .input_noise import Colour
-from .plant import box_of, tails_of, values_of
+from .plant import box_of, values_of
 from .plant_branch import Unknowns
-from .prior import Blocks, Normal, Prior, SmoothBox
+from .prior import Blocks, Normal, Prior, box_prior
 from .rollout import Recording, Rollout
 
 Loss = Literal["gaussian", "published"]
@@ -46,7 +46,6 @@ class Target:
         num_dims: Length D of theta.
         sigma0: Noise estimate of every channel, shape [C].
         box: Ends of the parameters' box in free coordinates, shapes [n].
-        linear: Which parameters have no logarithm, shape [n].
         colour: How noise of the measured force correlates the residuals; None takes them for white.
         lean: Slope of the noise that the free coordinates let through, shape [n], and where it was taken; see
             `input_noise`.
@@ -78,8 +77,7 @@ class Target:
         self._stack_outputs()
         low, high = box_of(self.plant.parameters)
         self.box = (low.to(self.place), high.to(self.place))
-        self.linear = torch.tensor([p.scale == "linear" for p in self.plant.parameters], device=self.place)
-        self.prior = self._prior(prior or SmoothBox(*self.box, tails_of(self.plant.parameters).to(self.place)))
+        self.prior = self._prior(prior or box_prior(self.plant.parameters))
 
     def _stack_outputs(self) -> None:
         longest = max(len(r.t) for r in self.recordings)

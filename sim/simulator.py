@@ -217,11 +217,9 @@ class Simulator:
         Memories of effects, damage too, and clocks go back to what they were at the start: empty and zero, unless
         `mark_start` was called in between. Their parameters stay.
         """
-        self._reset(self._chosen(mask))
-
-    def _chosen(self, mask: torch.Tensor | None) -> Any:
         mask = self._everyone if mask is None else mask.to(self._everyone.device)
-        return wp.from_torch(mask.contiguous(), dtype=wp.bool)
+        chosen: Any = wp.from_torch(mask.contiguous(), dtype=wp.bool)
+        self._reset(chosen)
 
     def _reset(self, chosen: wp.array) -> None:
         self._resets(chosen)

@@ -56,7 +56,7 @@ def noise_at_rest(contest: Contest, rows: Rows) -> Noise:
     sigma, spectrum = contest.sigma.cpu().numpy().copy(), {}
     if isinstance(contest.case, BranchCase) or fits_torque(contest.case):
         return Noise(sigma)
-    leads = [_lead(contest, j) for j in range(len(contest.recordings))]
+    leads = _leads(contest)
     if sum(leads) < LEAST:
         return Noise(sigma)
     simulated = contest.simulate(contest.values(rows), rows.start)[0].double()
@@ -70,11 +70,11 @@ def noise_at_rest(contest: Contest, rows: Rows) -> Noise:
     return Noise(sigma, spectrum)
 
 
-def _lead(contest: Contest, j: int) -> int:
-    """Return how many samples of a recording pass before its input acts; none if it has no input or already moves."""
+def _leads(contest: Contest) -> list[int]:
+    """Return how many samples of every recording pass before its input acts; none where no input ever does."""
     largest = max(float(np.abs(r.input).max(initial=0.0)) for r in contest.recordings)
-    acts = (np.abs(contest.recordings[j].input) > STILL * largest).any(axis=1)
-    return int(np.argmax(acts)) if largest > 0.0 and acts.any() else 0
+    acts = [(np.abs(r.input) > STILL * largest).any(axis=1) for r in contest.recordings]
+    return [int(np.argmax(a)) for a in acts]  # 0 where none is true
 
 
 def _scatter(channel: Array, leads: list[int]) -> float:

@@ -2,11 +2,10 @@
 
 import numpy as np
 import warp as wp
-from bough.kernels.effects import effect_types
+from bough.kernels.effects import PARAMETERS, effect_types
 
 _T = effect_types(1, 32)
 _JointState, _Response, _Parameters, _Vec = _T.JointState, _T.Response, _T.Parameters, _T.Vec
-COUNT = 6  # of numbers in a law's parameters
 
 
 def turner(law):
@@ -33,7 +32,7 @@ def turner(law):
     def turned(path, *parameters):
         given = wp.array(path, dtype=wp.vec3, device="cpu")
         out = wp.full(len(path), wp.vec3(np.nan, np.nan, np.nan), dtype=wp.vec3, device="cpu")
-        rest = [0.0] * (COUNT - len(parameters))
+        rest = [0.0] * (PARAMETERS - len(parameters))
         wp.launch(turn, dim=1, inputs=[given, *parameters, *rest], outputs=[out], device="cpu")
         return out.numpy()
 
