@@ -27,6 +27,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import torch
@@ -35,11 +36,13 @@ from bough.learn.pointnet import PointNet, layers, neighbours
 from bough.perception import embed
 from bough.perception.sensor import COLUMNS, Sensor
 from bough.sim import host
+from bough.sim.thread_pool import Job, Launches, run
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from oracles.point_scene import point_scene
 
 STAGES = ("sampling", "embedding", "occlusion", "nearest", "margin", "scores")
+REPEATS = 8  # of a launch, timed together
 LEARNT_CLOUDS = 16  # worlds that the slow PointNet++ encoder is timed on
 
 
@@ -63,8 +66,9 @@ def make_sensor(worlds: int, device: str) -> tuple[Sensor, torch.Tensor]:
 
 def torch_rows(sensor: Sensor) -> dict[str, Callable[[], torch.Tensor]]:
     """Return what torch does instead of each kernel, on contiguous copies [worlds, N, 3] of the clouds."""
-    robot, target, branches = (sensor.points[:, k].mT.contiguous() for k in range(3))
-    near, s = sensor.near.contiguous(), sensor.settings
+    points, near = sensor.clouds()
+    robot, target, branches = (points[:, k].mT.contiguous() for k in range(3))
+    near, s = near.contiguous(), sensor.settings
     hand = wp.to_torch(sensor._ee)[:, None].contiguous()
     waves = sensor.frequencies.T.contiguous()
 
@@ -138,20 +142,50 @@ def pointnet() -> tuple[str, Callable[[torch.Tensor], torch.Tensor]]:
 # ---- measuring ---------------------------------------------------------------------------------------------------
 
 
-def measure(rows: dict[str, Callable[[], object]], rounds: int, cuda: bool) -> dict[str, float]:
-    """Return the median seconds of each row, rows taken in turn."""
-    clock = time.perf_counter if cuda else time.process_time
-    taken: dict[str, list[float]] = {name: [] for name in rows}
+def repeated(launch: Any) -> Callable[[], object]:
+    """Return what runs a launch `REPEATS` times: on a CPU in one call, so that no interpreter is timed."""
+    launches = [launch] * REPEATS
+    if launch.device.is_cuda:
+        return Launches(launches)
+    job = Job(launches)
+    return lambda: run([job])
+
+
+def stages(plan: list[list[Callable[[], object]]], clock: Callable[[], float]) -> dict[str, float]:
+    """Return the seconds of each stage in one update: block by block, as an update goes, each stage timed by itself."""
+    taken = dict.fromkeys(STAGES, 0.0)
+    for block in plan:
+        for name, launches in zip(STAGES, block, strict=True):
+            start = clock()
+            launches()
+            taken[name] += (clock() - start) / REPEATS
+    return taken
+
+
+def measure(
+    plan: list[list[Callable[[], object]]],
+    rows: dict[str, Callable[[], object]],
+    rounds: int,
+    clock: Callable[[], float],
+) -> dict[str, float]:
+    """Return the median seconds of each stage and each row, taken in turn."""
+    taken: dict[str, list[float]] = {name: [] for name in (*STAGES, *rows)}
     for turn in range(rounds + 1):
+        for name, seconds in stages(plan, clock).items():
+            taken[name] += [seconds] * (turn > 0)  # the first round warms up
         for name, row in rows.items():
             repeats = 1 if "PointNet" in name else 5
-            wp.synchronize() if cuda else None
             start = clock()
             for _ in range(repeats):
                 row()
-            wp.synchronize() if cuda else None
-            taken[name] += [(clock() - start) / repeats] * (turn > 0)  # the first round warms up
+            taken[name] += [(clock() - start) / repeats] * (turn > 0)
     return {name: statistics.median(values) for name, values in taken.items()}
+
+
+def gpu_clock() -> float:
+    """Return the time when the GPU has done what it was given."""
+    wp.synchronize()
+    return time.perf_counter()
 
 
 def report(us: dict[str, float], bounds: dict[str, float], source: str) -> list[str]:
@@ -217,12 +251,12 @@ def main() -> int:
     )
     print("greatest differences from torch:", ", ".join(f"{k} {v:.1e}" for k, v in found.items()))
     source, encode = pointnet()
-    few = sensor.points[:LEARNT_CLOUDS, 2].mT.contiguous().cpu()
-    commands = sensor.commands(0, arguments.worlds)
-    timed: dict[str, Callable[[], object]] = {s: c.launch for s, c in zip(STAGES, commands, strict=True)}
-    timed |= {f"torch {name}": row for name, row in rows.items()}
+    few = sensor.clouds()[0][:LEARNT_CLOUDS, 2].mT.contiguous().cpu()
+    plan = [[repeated(c) for c in block] for block in sensor.plan(split=False)[0]]
+    timed: dict[str, Callable[[], object]] = {f"torch {name}": row for name, row in rows.items()}
     timed["PointNet++"] = lambda: encode(few)
-    us = {name: 1e6 * t / arguments.worlds for name, t in measure(timed, arguments.rounds, cuda).items()}
+    found_s = measure(plan, timed, arguments.rounds, gpu_clock if cuda else time.process_time)
+    us = {name: 1e6 * t / arguments.worlds for name, t in found_s.items()}
     us["PointNet++"] *= arguments.worlds / len(few)
     wanted = 5.0 if cuda else 10.0
     missed = report(

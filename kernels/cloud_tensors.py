@@ -8,8 +8,8 @@ from typing import Any
 
 import warp as wp
 
-from .embedding import half_phase, write_feature
-from .lanes import below, lane_sum, short_cosine, short_sine
+from .embedding import part_turn, write_feature
+from .lanes import below, cosine_pi, lane_sum, sine_pi
 from .nearest import squared
 from .real import REAL_OF_WIDTH, SOURCE, add, fma, mul, real, real_type, sub
 
@@ -71,38 +71,38 @@ def embed_points_kernel(width: int = 1) -> Any:
     """Return the kernel that embeds clouds [batch, N, 3] into [batch, 2 R].
 
     On a CPU a thread takes a cloud, and its sums [rows, 2 R] lie in row ``row``; on a GPU thread (r, cloud) takes one
-    frequency, and row is -1 - r. ``half`` [R] are the frequencies over 2 [rad/m].
+    frequency, and row is -1 - r. ``waves_in`` [R] are the frequencies over 2 pi [1/m].
     """
     Real, W = real_type(width), width
 
     @wp.kernel(enable_backward=False, module="unique")
     def embed_points(
         points_in: wp.array3d(dtype=wp.float32), mask_in: wp.array2d(dtype=wp.bool), masked: int,
-        half: wp.array(dtype=wp.vec3), first: int, row: int, sum_out: wp.array2d(dtype=Real),
+        waves_in: wp.array(dtype=wp.vec3), first: int, row: int, sum_out: wp.array2d(dtype=Real),
         embedding_out: wp.array2d(dtype=wp.float32),
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         f, i = wp.tid()
         b = first + i
         count = points_in.shape[1]
-        scale = wp.sqrt(1.0 / float(half.shape[0]))
+        scale = wp.sqrt(1.0 / float(waves_in.shape[0]))
         if wp.static(W == 1):
             weight = wp.float32(0.0)
             s2 = wp.float32(0.0)
             sc = wp.float32(0.0)
             for n in range(count):
                 m = weights(mask_in, masked, b, n, count, weight)
-                h = half_phase(half[f], points_in[b, n, 0], points_in[b, n, 1], points_in[b, n, 2])
-                s = short_sine(h)
+                turn = part_turn(waves_in[f], points_in[b, n, 0], points_in[b, n, 1], points_in[b, n, 2])
+                s = sine_pi(turn)
                 ms = m * s
                 weight = weight + m
                 s2 = fma(ms, s, s2)
-                sc = fma(ms, short_cosine(h), sc)
+                sc = fma(ms, cosine_pi(turn), sc)
             write_feature(s2, sc, weight, scale, b, 2 * f, embedding_out)
         else:
             zero = real(0.0, sum_out[row, 0])
             total = zero
-            for r in range(2 * half.shape[0]):
+            for r in range(2 * waves_in.shape[0]):
                 sum_out[row, r] = zero
             for chunk in range((count + W - 1) // W):
                 n = chunk * W
@@ -111,14 +111,14 @@ def embed_points_kernel(width: int = 1) -> Any:
                 z = coordinates(points_in, b, n, 2, zero)
                 m = weights(mask_in, masked, b, n, count, zero)
                 total = total + m
-                for r in range(half.shape[0]):
-                    h = half_phase(half[r], x, y, z)
-                    s = short_sine(h)
+                for r in range(waves_in.shape[0]):
+                    turn = part_turn(waves_in[r], x, y, z)
+                    s = sine_pi(turn)
                     ms = m * s
                     sum_out[row, 2 * r] = fma(ms, s, sum_out[row, 2 * r])
-                    sum_out[row, 2 * r + 1] = fma(ms, short_cosine(h), sum_out[row, 2 * r + 1])
+                    sum_out[row, 2 * r + 1] = fma(ms, cosine_pi(turn), sum_out[row, 2 * r + 1])
             weight = lane_sum(total)
-            for r in range(half.shape[0]):
+            for r in range(waves_in.shape[0]):
                 s2 = lane_sum(sum_out[row, 2 * r])
                 sc = lane_sum(sum_out[row, 2 * r + 1])
                 write_feature(s2, sc, weight, scale, b, 2 * r, embedding_out)

@@ -15,9 +15,9 @@ from typing import Any
 
 import warp as wp
 
-from .lanes import below, lane_sum, least, max_, min_, running_sum
+from .lanes import first_bit, lane_sum, least, max_, min_, negatives, running_sum, tally
 from .point_cloud import BRANCHES, ROBOT, TARGET, cloud_types
-from .real import SOURCE, add, any_neg, fma, lane, lane_neg, mul, real, sub, where_neg
+from .real import SOURCE, add, fma, lane, mul, real, sub, where_neg
 
 __all__ = ["Few", "finish_kernel", "margin_kernel", "nearest_kernel", "occlusion_kernel"]
 
@@ -46,71 +46,88 @@ def keep_least(best: Few, value: float):
 
 
 @wp.func
-def box_gap(w: int, a: int, j: int, b: int, g: int, c: Any):
+def box_gap(row: int, a: int, j: int, b: int, g: int, c: Any):
     """Least squared distance that points of chunk j of cloud a and of each chunk of group g of cloud b can have."""
-    zero = real(0.0, c.box[w, b, 0, g])
-    x = max_(max_(c.box[w, b, 0, g] - c.bound[w, a, 3, j], c.bound[w, a, 0, j] - c.box[w, b, 3, g]), zero)
-    y = max_(max_(c.box[w, b, 1, g] - c.bound[w, a, 4, j], c.bound[w, a, 1, j] - c.box[w, b, 4, g]), zero)
-    z = max_(max_(c.box[w, b, 2, g] - c.bound[w, a, 5, j], c.bound[w, a, 2, j] - c.box[w, b, 5, g]), zero)
+    zero = real(0.0, c.box[row, b, 0, g])
+    x = max_(max_(c.box[row, b, 0, g] - c.bound[row, a, 3, j], c.bound[row, a, 0, j] - c.box[row, b, 3, g]), zero)
+    y = max_(max_(c.box[row, b, 1, g] - c.bound[row, a, 4, j], c.bound[row, a, 1, j] - c.box[row, b, 4, g]), zero)
+    z = max_(max_(c.box[row, b, 2, g] - c.bound[row, a, 5, j], c.bound[row, a, 2, j] - c.box[row, b, 5, g]), zero)
     return squared(x, y, z)
 
 
 @wp.func
-def count_chunk(w: int, a: int, j: int, b: int, other: int, limit: float, lanes: int, c: Any):
+def point_gap(row: int, a: int, j: int, b: int, other: int, c: Any):
+    """Least squared distance that each point of chunk j of cloud a can have to points of chunk ``other`` of cloud b."""
+    x = c.point[row, a, 0, j]
+    y = c.point[row, a, 1, j]
+    z = c.point[row, a, 2, j]
+    zero = real(0.0, x)
+    x = max_(max_(c.bound[row, b, 0, other] - x, x - c.bound[row, b, 3, other]), zero)
+    y = max_(max_(c.bound[row, b, 1, other] - y, y - c.bound[row, b, 4, other]), zero)
+    z = max_(max_(c.bound[row, b, 2, other] - z, z - c.bound[row, b, 5, other]), zero)
+    return squared(x, y, z)
+
+
+@wp.func
+def count_chunk(row: int, a: int, j: int, b: int, other: int, limit: float, lanes: int, c: Any):
     """Count the pairs of chunk j of cloud a and chunk ``other`` of cloud b with d2 < limit."""
-    x = c.point[w, b, 0, other]
-    y = c.point[w, b, 1, other]
-    z = c.point[w, b, 2, other]
+    near = negatives(point_gap(row, a, j, b, other, c) - limit)
+    if near == 0:
+        return 0
+    x = c.point[row, b, 0, other]
+    y = c.point[row, b, 1, other]
+    z = c.point[row, b, 2, other]
     bound = real(limit, x)
     hits = real(0.0, x)
-    for p in range(j * lanes, (j + 1) * lanes):
-        d2 = squared(x - c.flat[w, a, 0, p], y - c.flat[w, a, 1, p], z - c.flat[w, a, 2, p])
-        hits = hits + below(d2, bound)
+    while near != 0:
+        p = j * lanes + first_bit(near)
+        near = near & (near - 1)
+        d2 = squared(x - c.flat[row, a, 0, p], y - c.flat[row, a, 1, p], z - c.flat[row, a, 2, p])
+        hits = tally(hits, d2, bound)
     return int(lane_sum(hits))
 
 
 @wp.func
-def count_group(w: int, a: int, j: int, b: int, g: int, limit: float, most: int, lanes: int, c: Any):
+def count_group(row: int, a: int, j: int, b: int, g: int, limit: float, most: int, lanes: int, c: Any):
     """Count pairs with d2 < limit of chunk j of cloud a and group g of cloud b until ``most`` are reached."""
     count = wp.int32(0)
-    miss = box_gap(w, a, j, b, g, c) - limit
-    if any_neg(miss):
-        for i in range(lanes):
-            if count < most and lane_neg(miss, i):
-                count = count + count_chunk(w, a, j, b, g * lanes + i, limit, lanes, c)
+    near = negatives(box_gap(row, a, j, b, g, c) - limit)
+    while near != 0 and count < most:
+        other = g * lanes + first_bit(near)
+        near = near & (near - 1)
+        count = count + count_chunk(row, a, j, b, other, limit, lanes, c)
     return count
 
 
 @wp.func
-def count_lanes(w: int, a: int, b: int, limit: float, most: int, lanes: int, c: Any):
+def count_lanes(row: int, a: int, b: int, limit: float, most: int, lanes: int, c: Any):
     """Count pairs with d2 < limit up to ``most``, chunk by chunk; groups of chunks apart are left out together."""
     count = wp.int32(0)
     chunks = c.point.shape[3]
     groups = (chunks + lanes - 1) // lanes
     for j in range(chunks):
         for h in range(groups, c.box.shape[3]):
-            miss = box_gap(w, a, j, b, h, c) - limit
-            if any_neg(miss):
-                for i in range(lanes):
-                    if lane_neg(miss, i):
-                        g = (h - groups) * lanes + i
-                        count = count + count_group(w, a, j, b, g, limit, most - count, lanes, c)
-                        if count >= most:
-                            return most
+            near = negatives(box_gap(row, a, j, b, h, c) - limit)
+            while near != 0:
+                g = (h - groups) * lanes + first_bit(near)
+                near = near & (near - 1)
+                count = count + count_group(row, a, j, b, g, limit, most - count, lanes, c)
+                if count >= most:
+                    return most
     return count
 
 
 @wp.func
-def count_points(w: int, a: int, b: int, limit: float, most: int, t: int, team: int, c: Any):
+def count_points(row: int, a: int, b: int, limit: float, most: int, t: int, team: int, c: Any):
     """Count pairs with d2 < limit up to ``most``, of every ``team``-th point of cloud a from t."""
     count = wp.int32(0)
     points = c.flat.shape[3]
     for p in range(t, points, team):
-        x = c.flat[w, a, 0, p]
-        y = c.flat[w, a, 1, p]
-        z = c.flat[w, a, 2, p]
+        x = c.flat[row, a, 0, p]
+        y = c.flat[row, a, 1, p]
+        z = c.flat[row, a, 2, p]
         for q in range(points):
-            if squared(c.flat[w, b, 0, q] - x, c.flat[w, b, 1, q] - y, c.flat[w, b, 2, q] - z) < limit:
+            if squared(c.flat[row, b, 0, q] - x, c.flat[row, b, 1, q] - y, c.flat[row, b, 2, q] - z) < limit:
                 count = count + 1
         if count >= most:
             return most
@@ -128,31 +145,31 @@ def occlusion_kernel(width: int = 1) -> Any:
     Clouds, W = t.Clouds, width
 
     @wp.kernel(enable_backward=False, module="unique")
-    def occlusion(c_in: Clouds, limit: float, most: int, first: int, count_out: wp.array2d(dtype=int)):
+    def occlusion(c_in: Clouds, limit: float, most: int, first: int, first_row: int, count_out: wp.array2d(dtype=int)):
         tag = SOURCE  # noqa: F841
         t, i = wp.tid()
         w = first + i
+        row = first_row + i
         count = wp.int32(0)
-        if c_in.present[w, BRANCHES] * c_in.present[w, TARGET] > 0:
+        if c_in.present[row, BRANCHES] * c_in.present[row, TARGET] > 0:
             if wp.static(W > 1):
-                count = count_lanes(w, BRANCHES, TARGET, limit, most, W, c_in)
+                count = count_lanes(row, BRANCHES, TARGET, limit, most, W, c_in)
             else:
-                count = count_points(w, BRANCHES, TARGET, limit, most, t, count_out.shape[1], c_in)
+                count = count_points(row, BRANCHES, TARGET, limit, most, t, count_out.shape[1], c_in)
         count_out[w, t] = count
 
     return occlusion
 
 
 @wp.func
-def keep_chunk(w: int, b: int, other: int, x: float, y: float, z: float, best: Few, lanes: int, c: Any):
+def keep_chunk(row: int, b: int, other: int, x: float, y: float, z: float, best: Few, c: Any):
     """Insert the squared distances between (x, y, z) and the points of chunk ``other`` of cloud b."""
     out = best
-    d2 = squared(c.point[w, b, 0, other] - x, c.point[w, b, 1, other] - y, c.point[w, b, 2, other] - z)
-    if any_neg(d2 - out[4]):
-        for i in range(lanes):
-            d = lane(d2, i)
-            if d < out[4]:
-                out = keep_least(out, d)
+    d2 = squared(c.point[row, b, 0, other] - x, c.point[row, b, 1, other] - y, c.point[row, b, 2, other] - z)
+    closer = negatives(d2 - out[4])
+    while closer != 0:
+        out = keep_least(out, lane(d2, first_bit(closer)))
+        closer = closer & (closer - 1)
     return out
 
 
@@ -166,13 +183,13 @@ def fetch_ahead(a: wp.array4d(dtype=wp.float32), w: int, k: int, m: int, p: int)
 
 
 @wp.func
-def closest_points(w: int, b: int, place: wp.vec3, limit: float, t: int, team: int, lanes: int, c: Any):
+def closest_points(row: int, b: int, place: wp.vec3, limit: float, t: int, team: int, lanes: int, c: Any):
     """Squared distances below ``limit`` of the points of cloud b closest to a place, of every ``team``-th chunk from t.
 
     Every lane keeps its five least, ascending, with no branch; then the least of all lanes' least is taken five times.
     Meanwhile a CPU asks for the next world's cloud: waiting for its first lines would take as long as all the rest.
     """
-    x = real(place[0], c.point[w, b, 0, 0])
+    x = real(place[0], c.point[row, b, 0, 0])
     y = real(place[1], x)
     z = real(place[2], x)
     a0 = real(limit, x)
@@ -180,11 +197,11 @@ def closest_points(w: int, b: int, place: wp.vec3, limit: float, t: int, team: i
     a2 = a0
     a3 = a0
     a4 = a0
-    after = wp.min(w + 1, c.flat.shape[0] - 1)
+    after = wp.min(row + 1, c.flat.shape[0] - 1)
     for j in range(t, c.point.shape[3], team):
         for m in range(3):
             fetch_ahead(c.flat, after, b, m, lanes * j)
-        d = squared(c.point[w, b, 0, j] - x, c.point[w, b, 1, j] - y, c.point[w, b, 2, j] - z)
+        d = squared(c.point[row, b, 0, j] - x, c.point[row, b, 1, j] - y, c.point[row, b, 2, j] - z)
         past0 = max_(a0, d)
         a0 = min_(a0, d)
         past1 = max_(a1, past0)
@@ -208,23 +225,39 @@ def closest_points(w: int, b: int, place: wp.vec3, limit: float, t: int, team: i
 
 
 @wp.func
-def closest_in_group(w: int, a: int, j: int, b: int, g: int, best: Few, lanes: int, c: Any):
-    """Insert the squared distances between points of chunk j of cloud a and of group g of cloud b."""
+def closest_in_chunk(row: int, a: int, j: int, b: int, other: int, best: Few, lanes: int, c: Any):
+    """Insert the squared distances between points of chunk j of cloud a and chunk ``other`` of cloud b."""
     out = best
-    gap = box_gap(w, a, j, b, g, c)
-    if any_neg(gap - out[4]):
-        for i in range(lanes):
-            if lane(gap, i) < out[4]:
-                for p in range(j * lanes, (j + 1) * lanes):
-                    x = c.flat[w, a, 0, p]
-                    y = c.flat[w, a, 1, p]
-                    z = c.flat[w, a, 2, p]
-                    out = keep_chunk(w, b, g * lanes + i, x, y, z, out, lanes, c)
+    gap = point_gap(row, a, j, b, other, c)
+    near = negatives(gap - out[4])
+    while near != 0:
+        i = first_bit(near)
+        near = near & (near - 1)
+        if lane(gap, i) < out[4]:
+            p = j * lanes + i
+            x = c.flat[row, a, 0, p]
+            y = c.flat[row, a, 1, p]
+            z = c.flat[row, a, 2, p]
+            out = keep_chunk(row, b, other, x, y, z, out, c)
     return out
 
 
 @wp.func
-def closest_pairs_lanes(w: int, a: int, b: int, limit: float, lanes: int, c: Any):
+def closest_in_group(row: int, a: int, j: int, b: int, g: int, best: Few, lanes: int, c: Any):
+    """Insert the squared distances between points of chunk j of cloud a and of group g of cloud b."""
+    out = best
+    gap = box_gap(row, a, j, b, g, c)
+    near = negatives(gap - out[4])
+    while near != 0:
+        i = first_bit(near)
+        near = near & (near - 1)
+        if lane(gap, i) < out[4]:
+            out = closest_in_chunk(row, a, j, b, g * lanes + i, out, lanes, c)
+    return out
+
+
+@wp.func
+def closest_pairs_lanes(row: int, a: int, b: int, limit: float, lanes: int, c: Any):
     """Squared distances below ``limit`` of the closest pairs, chunk by chunk; groups of chunks apart are left out.
 
     Chunks of cloud a are taken from the last, the hand's: the sooner close pairs are found the more is left out.
@@ -235,25 +268,25 @@ def closest_pairs_lanes(w: int, a: int, b: int, limit: float, lanes: int, c: Any
     for back in range(chunks):
         j = chunks - 1 - back
         for h in range(groups, c.box.shape[3]):
-            gap = box_gap(w, a, j, b, h, c)
-            if any_neg(gap - best[4]):
-                for i in range(lanes):
-                    if lane(gap, i) < best[4]:
-                        best = closest_in_group(w, a, j, b, (h - groups) * lanes + i, best, lanes, c)
+            near = negatives(box_gap(row, a, j, b, h, c) - best[4])
+            while near != 0:
+                g = (h - groups) * lanes + first_bit(near)
+                near = near & (near - 1)
+                best = closest_in_group(row, a, j, b, g, best, lanes, c)
     return best
 
 
 @wp.func
-def closest_pairs(w: int, a: int, b: int, limit: float, t: int, team: int, c: Any):
+def closest_pairs(row: int, a: int, b: int, limit: float, t: int, team: int, c: Any):
     """Squared distances below ``limit`` of the closest pairs, of every ``team``-th point of cloud a from t."""
     best = Few(limit)
     points = c.flat.shape[3]
     for p in range(t, points, team):
-        x = c.flat[w, a, 0, p]
-        y = c.flat[w, a, 1, p]
-        z = c.flat[w, a, 2, p]
+        x = c.flat[row, a, 0, p]
+        y = c.flat[row, a, 1, p]
+        z = c.flat[row, a, 2, p]
         for q in range(points):
-            d2 = squared(c.flat[w, b, 0, q] - x, c.flat[w, b, 1, q] - y, c.flat[w, b, 2, q] - z)
+            d2 = squared(c.flat[row, b, 0, q] - x, c.flat[row, b, 1, q] - y, c.flat[row, b, 2, q] - z)
             if d2 < best[4]:
                 best = keep_least(best, d2)
     return best
@@ -271,14 +304,16 @@ def nearest_kernel(width: int = 1) -> Any:
 
     @wp.kernel(enable_backward=False, module="unique")
     def nearest(
-        c_in: Clouds, place_in: wp.array(dtype=wp.vec3), far: float, first: int, point_out: wp.array2d(dtype=Few)
-    ):
+        c_in: Clouds, place_in: wp.array(dtype=wp.vec3), far: float, first: int, first_row: int,
+        point_out: wp.array2d(dtype=Few),
+    ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         t, i = wp.tid()
         w = first + i
+        row = first_row + i
         point = Few(far)
-        if c_in.present[w, BRANCHES] > 0:
-            point = closest_points(w, BRANCHES, place_in[w], far, t, point_out.shape[1], W, c_in)
+        if c_in.present[row, BRANCHES] > 0:
+            point = closest_points(row, BRANCHES, place_in[w], far, t, point_out.shape[1], W, c_in)
         point_out[w, t] = point
 
     return nearest
@@ -295,17 +330,18 @@ def margin_kernel(width: int = 1) -> Any:
     Clouds, W = t.Clouds, width
 
     @wp.kernel(enable_backward=False, module="unique")
-    def margin(c_in: Clouds, near: float, limit: float, first: int, pair_out: wp.array2d(dtype=Few)):
+    def margin(c_in: Clouds, near: float, limit: float, first: int, first_row: int, pair_out: wp.array2d(dtype=Few)):
         tag = SOURCE  # noqa: F841
         t, i = wp.tid()
         w = first + i
+        row = first_row + i
         pair = Few(limit)
-        if c_in.present[w, ROBOT] * c_in.present[w, TARGET] > 0:
+        if c_in.present[row, ROBOT] * c_in.present[row, TARGET] > 0:
             if wp.static(W > 1):
-                if count_lanes(w, ROBOT, TARGET, near, 1, W, c_in) > 0:
-                    pair = closest_pairs_lanes(w, ROBOT, TARGET, limit, W, c_in)
+                if count_lanes(row, ROBOT, TARGET, near, 1, W, c_in) > 0:
+                    pair = closest_pairs_lanes(row, ROBOT, TARGET, limit, W, c_in)
             else:
-                pair = closest_pairs(w, ROBOT, TARGET, limit, t, pair_out.shape[1], c_in)
+                pair = closest_pairs(row, ROBOT, TARGET, limit, t, pair_out.shape[1], c_in)
         pair_out[w, t] = pair
 
     return margin

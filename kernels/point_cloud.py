@@ -19,37 +19,37 @@ import warp as wp
 
 from .lanes import (
     below,
+    centred_low,
+    cosine_pi,
     greatest,
     key_of,
-    lane_sum,
     least,
     log_,
     max_,
     min_,
+    row_greatest,
+    row_least,
     running_sum,
-    short_cosine,
-    short_sine,
-    uniform,
+    sine_pi,
     uniform_high,
-    uniform_low,
 )
 from .real import SOURCE, add, div, fma, fnma, lane, mul, real, real_type, sqrt_, sub, where_neg
 
-__all__ = ["BRANCHES", "NUM_CLOUDS", "ROBOT", "TARGET", "cloud_types", "sample_kernel"]
+__all__ = ["BRANCHES", "NOWHERE", "NUM_CLOUDS", "ROBOT", "TARGET", "cloud_types", "sample_kernel"]
 
 ROBOT = wp.constant(0)
 TARGET = wp.constant(1)
 BRANCHES = wp.constant(2)
 NUM_CLOUDS = 3
 
-#: Hashes that a point of a cloud takes: level, angle and two pairs of normal numbers. The spare counts for level N.
-STREAMS = wp.constant(5)
-ANGLE = wp.constant(1)
+#: Hashes set aside for a point of a cloud: level and angle, level N (one a cloud), and two pairs of normal numbers.
+STREAMS = wp.constant(4)
+LAST_LEVEL = wp.constant(1)
 NOISE_XY = wp.constant(2)
 NOISE_Z = wp.constant(3)
-LAST_LEVEL = wp.constant(4)
 
 TWO_PI = wp.constant(6.283185307179586)
+NOWHERE = wp.constant(1.0e18)  # m, where the box of a chunk that does not exist begins
 FAR_EDGE = wp.constant(1.0e30)
 
 
@@ -66,10 +66,12 @@ class Shapes:
 def cloud_types(width: int = 1) -> SimpleNamespace:
     """Return the struct Clouds for a lane width: ``width`` points of a world fill a chunk.
 
-    ``point`` [worlds, clouds, 3, chunks] in m and ``flat`` [worlds, clouds, 3, points] are one memory; ``near``
-    [worlds, chunks] is 1 for branch points near the target; ``bound`` and ``box`` (one memory) hold the least and the
-    greatest coordinates of chunks [worlds, clouds, 6, ...], whole lanes of them, and then those of the groups of
-    ``width`` chunks; ``present`` [worlds, clouds] is 0 for a cloud without points.
+    Rows are worlds, of all on a GPU, of those that CPU threads are at on a CPU.
+
+    ``point`` [rows, clouds, 3, chunks] in m and ``flat`` [rows, clouds, 3, points] are one memory; ``near``
+    [rows, chunks] is 1 for branch points near the target; ``bound`` and ``box`` (one memory) hold the least and the
+    greatest coordinates of chunks [rows, clouds, 6, ...], whole lanes of them, and then those of the groups of
+    ``width`` chunks; ``present`` [rows, clouds] is 0 for a cloud without points.
     """
     Real = real_type(width)
 
@@ -86,18 +88,9 @@ def cloud_types(width: int = 1) -> SimpleNamespace:
 
 
 @wp.func
-def shape_area(s: Shapes, w: int, i: int, cap: float):
+def capsule_area(r: float, length: float, cap: float):
     """2 pi r (L + 2 r cap) [m^2]: ``cap`` is 1 with round ends, 0 for the side alone."""
-    r = s.radius[w, i]
-    if r <= 0.0:
-        return 0.0
-    return TWO_PI * r * (wp.length(s.end[w, i] - s.start[w, i]) + 2.0 * r * cap)
-
-
-@wp.func
-def spacing(key: wp.uint32, n: int, like: Any):
-    """Exponential numbers of mean 1."""
-    return real(0.0, like) - log_(uniform(key, n, like))
+    return TWO_PI * r * (length + 2.0 * r * cap)
 
 
 @wp.func
@@ -109,12 +102,11 @@ def across(d: wp.vec3):
 
 
 @wp.func
-def frame_of(axis: wp.vec3):
+def frame_of(axis: wp.vec3, length: float):
     """Columns d, n1, n2: the direction of an axis (z for a point) and two unit vectors square to it."""
-    length = wp.length(axis)
     d = wp.vec3(0.0, 0.0, 1.0)
     if length > 0.0:
-        d = axis / length
+        d = axis * (1.0 / length)
     n1 = across(d)
     return wp.matrix_from_cols(d, n1, wp.cross(d, n1))
 
@@ -129,8 +121,8 @@ def on_capsule(
     rho^2 = r^2 - (how far a lies beyond the axis)^2
     """
     zero = real(0.0, ahead)
-    a = max_(min_(ahead * (1.0 / (TWO_PI * r)) - r * cap, real(length + r * cap, ahead)), real(-r * cap, ahead))
-    over = max_(max_(zero - a, a - length), zero)
+    a = fma(ahead, real(1.0 / (TWO_PI * r), ahead), real(-r * cap, ahead))
+    over = a - min_(max_(a, zero), real(length, ahead))
     rho = sqrt_(max_(fnma(over, over, real(r * r, ahead)), zero))
     u = rho * cosine
     v = rho * sine
@@ -141,29 +133,34 @@ def on_capsule(
 
 
 @wp.func
-def draw_levels(w: int, k: int, key: wp.uint32, draw: int, lanes: int, c: Any):
-    """Put running sums of exponential numbers into the x of cloud k; return the sum of one more than points."""
-    chunks = c.point.shape[3]
-    zero = real(0.0, c.point[w, k, 0, 0])
+def direction(h: Any):
+    """cos and sin of the angle 2 pi h, h in (-1/2, 1/2)."""
+    s = sine_pi(h)
+    return fnma(s, s + s, real(1.0, h)), (s + s) * cosine_pi(h)
+
+
+@wp.func
+def draw_levels(key: wp.uint32, n: int, lanes: int, x: Any, y: Any, z: Any):
+    """Put running sums of exponential numbers into x, cos and sin of angles into y, z; return the sum of one more."""
+    zero = real(0.0, x[0])
     reached = wp.float32(0.0)
-    for j in range(chunks):
-        level = running_sum(spacing(key, draw + j * lanes, zero)) + reached
-        c.point[w, k, 0, j] = level
+    j = wp.int32(0)
+    while j < x.shape[0]:
+        level = running_sum(zero - log_(uniform_high(key, n + j * lanes, zero))) + reached
+        cosine, sine = direction(centred_low(key, n + j * lanes, zero))
+        x[j] = level
+        y[j] = cosine
+        z[j] = sine
         reached = lane(level, lanes - 1)
-    return reached + spacing(key, draw + LAST_LEVEL * chunks * lanes, 0.0)
+        j = j + 1
+    return reached - log_(uniform_high(key, n + LAST_LEVEL * x.shape[0] * lanes, 0.0))
 
 
 @wp.func
-def direction(u: Any):
-    """cos and sin of the angle 2 h, h = (u - 1/2) pi, for u in (0, 1)."""
-    h = (u - 0.5) * wp.static(0.5 * 6.283185307179586)
-    s = short_sine(h)
-    return fnma(s, s + s, real(1.0, h)), (s + s) * short_cosine(h)
-
-
-@wp.func
-def spread_points(w: int, k: int, s: Shapes, first: int, last: int, cap: float, key: wp.uint32, lanes: int, c: Any):
-    """Draw points on shapes first ... last - 1 of world w into cloud k.
+def spread_points(
+    w: int, s: Shapes, first: int, last: int, cap: float, row: int, k: int, key: wp.uint32, lanes: int, c: Any
+):
+    """Draw points on shapes first ... last - 1 of world w into cloud k of a row.
 
     Shapes come in their order, and so do levels: a chunk is finished by the shape that its last point is on, and stored
     then (a store of some lanes is slow on a CPU).
@@ -171,111 +168,111 @@ def spread_points(w: int, k: int, s: Shapes, first: int, last: int, cap: float, 
     total = wp.float32(0.0)
     final = wp.int32(-1)
     for i in range(first, last):
-        area = shape_area(s, w, i, cap)
-        if area > 0.0:
-            total = total + area
+        r = s.radius[w, i]
+        if r > 0.0:
+            total = total + capsule_area(r, wp.length(s.end[w, i] - s.start[w, i]), cap)
             final = i
-    c.present[w, k] = wp.where(final < 0, 0, 1)
-    chunks = c.point.shape[3]
-    draw = k * STREAMS * chunks * lanes
-    scale = total / draw_levels(w, k, key, draw, lanes, c)
-    angle = draw + ANGLE * chunks * lanes
+    c.present[row, k] = wp.where(final < 0, 0, 1)
+    xs = c.point[row, k, 0]
+    ys = c.point[row, k, 1]
+    zs = c.point[row, k, 2]
+    chunks = xs.shape[0]
+    scale = total / draw_levels(key, k * STREAMS * chunks * lanes, lanes, xs, ys, zs)
     j = wp.int32(0)
-    level = c.point[w, k, 0, 0] * scale
-    cosine, sine = direction(uniform(key, angle, level))
+    level = xs[0] * scale
     x = level
     y = level
     z = level
     edge = wp.float32(0.0)
     for i in range(first, final + 1):
-        area = shape_area(s, w, i, cap)
-        if area > 0.0:
-            start_level = edge
-            edge = wp.where(i == final, FAR_EDGE, edge + area)
+        r = s.radius[w, i]
+        if r > 0.0:
             start = s.start[w, i]
             axis = s.end[w, i] - start
-            frame = frame_of(axis)
             length = wp.length(axis)
-            r = s.radius[w, i]
+            frame = frame_of(axis, length)
+            start_level = edge
+            edge = wp.where(i == final, FAR_EDGE, edge + capsule_area(r, length, cap))
             while j < chunks:
                 ahead = level - start_level
-                px, py, pz = on_capsule(ahead, cosine, sine, start, frame, length, r, cap)
+                px, py, pz = on_capsule(ahead, ys[j], zs[j], start, frame, length, r, cap)
                 x = where_neg(ahead, x, px)
                 y = where_neg(ahead, y, py)
                 z = where_neg(ahead, z, pz)
                 if lane(level, lanes - 1) >= edge:
                     break
-                c.point[w, k, 0, j] = x
-                c.point[w, k, 1, j] = y
-                c.point[w, k, 2, j] = z
+                xs[j] = x
+                ys[j] = y
+                zs[j] = z
                 j = j + 1
                 if j < chunks:
-                    level = c.point[w, k, 0, j] * scale
-                    cosine, sine = direction(uniform(key, angle + j * lanes, level))
+                    level = xs[j] * scale
 
 
 @wp.func
-def normal_pair(key: wp.uint32, n: int, sigma: float, like: Any):
-    """sigma sqrt(-2 log u1) times cos and sin of 2 pi u2 (Box and Muller), of 16 bits: within 4.9 sigma."""
-    size = sqrt_(log_(uniform_high(key, n, like)) * -2.0) * sigma
-    cosine, sine = direction(uniform_low(key, n, like))
+def normal_pair(key: wp.uint32, n: int, variance: float, like: Any):
+    """sqrt(-2 variance log u) times cos and sin of 2 pi v (Box and Muller), u and v of 16 bits: within 4.9 sigma."""
+    size = sqrt_(log_(uniform_high(key, n, like)) * (-2.0 * variance))
+    cosine, sine = direction(centred_low(key, n, like))
     return size * cosine, size * sine
 
 
 @wp.func
-def shift(w: int, k: int, m: int, j: int, amount: Any, c: Any):
-    """Move coordinate m of the points of chunk j."""
-    c.point[w, k, m, j] = c.point[w, k, m, j] + amount
-
-
-@wp.func
-def add_noise(w: int, k: int, sigma: float, key: wp.uint32, lanes: int, c: Any):
+def add_noise(row: int, k: int, sigma: float, key: wp.uint32, lanes: int, c: Any):
     """Move every coordinate of every point by Gaussian noise of deviation sigma [m].
 
     Three pairs of normal numbers serve two points, one of each half of the cloud; a half is whole chunks of 16.
     """
-    chunks = c.point.shape[3]
+    x = c.point[row, k, 0]
+    y = c.point[row, k, 1]
+    z = c.point[row, k, 2]
+    chunks = x.shape[0]
     half = 16 * ((chunks * lanes + 31) // 32) // lanes
-    xy = (k * STREAMS + NOISE_XY) * chunks * lanes
-    z = (k * STREAMS + NOISE_Z) * chunks * lanes
-    zero = real(0.0, c.point[w, k, 0, 0])
-    for j in range(half):
+    first_xy = (k * STREAMS + NOISE_XY) * chunks * lanes
+    first_z = (k * STREAMS + NOISE_Z) * chunks * lanes
+    variance = sigma * sigma
+    zero = real(0.0, x[0])
+    j = wp.int32(0)
+    while j < half:
         other = j + half
-        up, up_other = normal_pair(key, z + j * lanes, sigma, zero)
-        east, north = normal_pair(key, xy + j * lanes, sigma, zero)
-        shift(w, k, 0, j, east, c)
-        shift(w, k, 1, j, north, c)
-        shift(w, k, 2, j, up, c)
+        up, up_other = normal_pair(key, first_z + j * lanes, variance, zero)
+        east, north = normal_pair(key, first_xy + j * lanes, variance, zero)
+        x[j] = x[j] + east
+        y[j] = y[j] + north
+        z[j] = z[j] + up
         if other < chunks:
-            east, north = normal_pair(key, xy + other * lanes, sigma, zero)
-            shift(w, k, 0, other, east, c)
-            shift(w, k, 1, other, north, c)
-            shift(w, k, 2, other, up_other, c)
+            east, north = normal_pair(key, first_xy + other * lanes, variance, zero)
+            x[other] = x[other] + east
+            y[other] = y[other] + north
+            z[other] = z[other] + up_other
+        j = j + 1
 
 
 @wp.func
-def bound_chunks(w: int, k: int, lanes: int, c: Any):
+def bound_chunks(row: int, k: int, lanes: int, c: Any):
     """Note the least and the greatest coordinates of every chunk, and after them of every ``lanes`` chunks."""
     chunks = c.point.shape[3]
     groups = (chunks + lanes - 1) // lanes
-    for j in range(chunks):
-        for m in range(3):
-            p = c.point[w, k, m, j]
-            c.bound[w, k, m, j] = least(p)
-            c.bound[w, k, 3 + m, j] = greatest(p)
-    for g in range(groups):
-        for m in range(3):
-            c.bound[w, k, m, groups * lanes + g] = least(c.box[w, k, m, g])
-            c.bound[w, k, 3 + m, groups * lanes + g] = greatest(c.box[w, k, 3 + m, g])
+    like = c.point[row, k, 0, 0]
+    for m in range(3):
+        p = c.flat[row, k, m]
+        for g in range(groups):
+            count = wp.min(chunks - g * lanes, lanes)
+            low = row_least(p, g * lanes * lanes, count, NOWHERE, like)
+            high = row_greatest(p, g * lanes * lanes, count, -NOWHERE, like)
+            c.box[row, k, m, g] = low
+            c.box[row, k, 3 + m, g] = high
+            c.bound[row, k, m, groups * lanes + g] = least(low)
+            c.bound[row, k, 3 + m, groups * lanes + g] = greatest(high)
 
 
 @wp.func
-def mark_near(w: int, k: int, s: Shapes, zoom: float, c: Any):
+def mark_near(w: int, s: Shapes, zoom: float, row: int, k: int, c: Any):
     """Mark the points that lie nearer than ``zoom`` [m] to the axis of one of the shapes, a segment."""
     for j in range(c.point.shape[3]):
-        px = c.point[w, k, 0, j]
-        py = c.point[w, k, 1, j]
-        pz = c.point[w, k, 2, j]
+        px = c.point[row, k, 0, j]
+        py = c.point[row, k, 1, j]
+        pz = c.point[row, k, 2, j]
         o = real(0.0, px)
         found = o
         for i in range(s.radius.shape[1]):
@@ -290,7 +287,7 @@ def mark_near(w: int, k: int, s: Shapes, zoom: float, c: Any):
             y = fnma(u, real(axis[1], o), y)
             z = fnma(u, real(axis[2], o), z)
             found = max_(found, below(fma(z, z, fma(y, y, x * x)), real(zoom * zoom, o)))
-        c.near[w, j] = found
+        c.near[row, j] = found
 
 
 @cache
@@ -305,7 +302,8 @@ def sample_kernel(width: int = 1) -> Any:
     @wp.kernel(enable_backward=False, module="unique")
     def sample(
         capsules_in: Shapes, num_arm: int, target_in: Shapes, cap: float, zoom: float, seed: int,
-        tick_in: wp.array(dtype=int), max_noise_in: wp.array(dtype=wp.float32), first: int, c_out: Clouds,
+        tick_in: wp.array(dtype=int), max_noise_in: wp.array(dtype=wp.float32), first: int, first_row: int,
+        c_out: Clouds,
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         i = wp.int32(0)
@@ -315,18 +313,22 @@ def sample_kernel(width: int = 1) -> Any:
         else:
             k, i = wp.tid()  # neighbouring threads are neighbouring worlds
         w = first + i
+        row = first_row + i
         key = key_of(seed, w, tick_in[w])
-        if k == ROBOT:
-            spread_points(w, k, capsules_in, 0, num_arm, 1.0, key, W, c_out)
-        elif k == BRANCHES:
-            spread_points(w, k, capsules_in, num_arm, capsules_in.radius.shape[1], 1.0, key, W, c_out)
-        else:
-            spread_points(w, k, target_in, 0, target_in.radius.shape[1], cap, key, W, c_out)
+        shapes = capsules_in
+        begin = wp.where(k == BRANCHES, num_arm, 0)
+        end = wp.where(k == ROBOT, num_arm, shapes.radius.shape[1])
+        ends = wp.float32(1.0)
+        if k == TARGET:  # one call for all clouds: code that is there three times does not stay in a cache
+            shapes = target_in
+            end = shapes.radius.shape[1]
+            ends = cap
+        spread_points(w, shapes, begin, end, ends, row, k, key, W, c_out)
         if max_noise_in[w] > 0.0:
-            add_noise(w, k, max_noise_in[w] / 3.0, key, W, c_out)
+            add_noise(row, k, max_noise_in[w] / 3.0, key, W, c_out)
         if k == BRANCHES:
-            mark_near(w, k, target_in, zoom, c_out)
+            mark_near(w, target_in, zoom, row, k, c_out)
         if wp.static(W > 1):
-            bound_chunks(w, k, W, c_out)
+            bound_chunks(row, k, W, c_out)
 
     return sample

@@ -6,10 +6,8 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
-import numpy as np
 import torch
 import warp as wp
 
@@ -67,8 +65,7 @@ def measure(
 
 def kernels(sensor: Any) -> EmbeddingTime:
     """Time bough's kernels as training runs them: every CPU thread a share of the worlds, or one launch on a GPU."""
-    cuts = np.linspace(0, sensor.num_worlds, sensor.threads + 1).astype(int).tolist()
-    parts = [sensor.commands(a, b - a)[_EMBED : _EMBED + 1] for a, b in pairwise(cuts)]
+    parts = [[block[_EMBED] for block in run] for run in sensor.plan()]
     seconds = _median(together(parts), _REPEATS[KERNELS])
     return EmbeddingTime(KERNELS, sensor.num_worlds, seconds, 4 * sensor.num_worlds)
 
@@ -76,10 +73,11 @@ def kernels(sensor: Any) -> EmbeddingTime:
 @torch.inference_mode()
 def learnt(sensor: Any) -> EmbeddingTime:
     """Time PointNet++ on as many clouds as it takes at a time; the zoomed cloud counts as another whole one."""
-    device = sensor.points.device
+    points, _near = sensor.clouds()
+    device = points.device
     torch.manual_seed(0)
     encode, wanted = PointNet().to(device), 4 * sensor.num_worlds
-    clouds = sensor.points[:, [0, 1, 2, 2]].flatten(0, 1)[: _PART[device.type]].mT.contiguous()
+    clouds = points[:, [0, 1, 2, 2]].flatten(0, 1)[: _PART[device.type]].mT.contiguous()
     seconds = _median(lambda: encode(clouds), _REPEATS[LEARNT])
     return EmbeddingTime(LEARNT, sensor.num_worlds, seconds * wanted / len(clouds), len(clouds))
 

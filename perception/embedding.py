@@ -54,14 +54,14 @@ def embed(
     device = _device_of(points)
     flat, array = _cloud("points", points)
     marks = _marks("mask", mask, points, device)
-    half = _half(frequencies, features, bandwidth, seed, device)
+    waves = _waves(frequencies, features, bandwidth, seed, device)
     width = 1 if device.is_cuda else simd_width()
-    count, kernel = int(half.shape[0]), embed_points_kernel(width)
+    count, kernel = int(waves.shape[0]), embed_points_kernel(width)
     out = torch.empty((flat.shape[0], 2 * count), dtype=torch.float32, device=points.device)
     into = wp.from_torch(out)
 
     def record(first: int, clouds: int, row: int) -> Any:
-        inputs = [array, marks, int(mask is not None), half, first, row, _sums(width, count, str(device)), into]
+        inputs = [array, marks, int(mask is not None), waves, first, row, _sums(width, count, str(device)), into]
         return wp.launch(kernel, (count if width == 1 else 1, clouds), inputs, device=device, record_cmd=True)
 
     _launch(record, flat.shape[0], device)
@@ -153,19 +153,20 @@ def _no_mask(device: str) -> wp.array:
     return wp.zeros((1, 1), dtype=wp.bool, device=device)
 
 
-def _half(frequencies: torch.Tensor | None, features: int, bandwidth: float, seed: int, device: Any) -> Any:
-    """Frequencies over 2 as Warp takes them."""
+def _waves(frequencies: torch.Tensor | None, features: int, bandwidth: float, seed: int, device: Any) -> Any:
+    """Frequencies over 2 pi as kernels take them [1/m]."""
     if frequencies is None:
         return _drawn(features, bandwidth, seed, str(device))
     if frequencies.ndim != 2 or frequencies.shape[1] != 3 or not len(frequencies):
         raise InputError("embed", "frequencies", f"shape [{_text(frequencies.shape)}]", "[R, 3]")
-    half = frequencies.detach().to(device=wp.device_to_torch(device), dtype=torch.float32) / 2
-    return wp.from_torch(half, dtype=wp.vec3)
+    waves = frequencies.detach().to(device=wp.device_to_torch(device), dtype=torch.float64) / (2 * np.pi)
+    return wp.from_torch(waves.float(), dtype=wp.vec3)
 
 
 @lru_cache
 def _drawn(features: int, bandwidth: float, seed: int, device: str) -> wp.array:
-    return wp.array(draw_frequencies(features, bandwidth, seed) / 2, dtype=wp.vec3, device=device)
+    waves = draw_frequencies(features, bandwidth, seed).astype(float) / (2 * np.pi)
+    return wp.array(waves, dtype=wp.vec3, device=device)
 
 
 @lru_cache

@@ -14,11 +14,12 @@ import warp as wp
 
 from ..kernels.embedding import embed_clouds_kernel
 from ..kernels.nearest import Few, finish_kernel, margin_kernel, nearest_kernel, occlusion_kernel
-from ..kernels.point_cloud import NUM_CLOUDS, Shapes, cloud_types, sample_kernel
+from ..kernels.point_cloud import NUM_CLOUDS, Shapes, sample_kernel
 from ..sim import arrays
 from ..sim.errors import InputError
 from ..sim.host import num_threads, simd_width
 from ..sim.thread_pool import together
+from .cloud_memory import CloudMemory
 from .frequencies import draw_frequencies
 
 #: First columns of what `Sensor.update` writes, in the 88 numbers of the thesis's table 5.1.
@@ -29,7 +30,7 @@ _EMBEDDED = ("rob", "clr", "wbr", "zbr")
 _LOCAL = ("distances", "breach", "occlusion")
 _BEYOND = 1.001  # the mean of five distances is not below the margin if the fifth is five margins, rounding included
 _TEAM = 32  # GPU threads that share a world's pairs of points
-_NONE_NEAR = 1.0e18  # m, where the box of a chunk that does not exist begins
+_BLOCK = 32  # worlds that a CPU thread takes through all kernels at a time: 768 KiB of clouds of 512 points
 
 
 class Capsules(Protocol):
@@ -100,9 +101,6 @@ class Sensor:
         distances: The 5 least distances from end-effector to branch points, ascending [m], torch view [worlds, 5].
         max_noise: d_max, three deviations of the noise on every coordinate [m], torch view [worlds], to be written.
         tick: Number of the next draw of each world, int32 torch view [worlds]; write it to go on from a snapshot.
-        points: Clouds robot, target, branches [m], torch view [worlds, 3, 3, points], coordinates before points.
-            Neighbours in memory are neighbours in space.
-        near: 1 for branch points of the zoomed cloud, torch view [worlds, points].
         frequencies: w_r [rad/m], float32 torch tensor [R, 3] on the sensor's device.
     """
 
@@ -141,7 +139,8 @@ class Sensor:
         self._seed, self._num_arm, self._ee = int(seed), int(capsules.num_arm), ee_position
         self._capsules = _shapes(capsules.start, capsules.end, capsules.radius)
         self._target = self._target_shapes(target)
-        self._allocate_clouds()
+        self._block = self.num_worlds if cuda else min(self.num_worlds, _BLOCK)
+        self._clouds = self._memory(self._block * self.threads)
         self._allocate_outputs(_TEAM if self._worlds_inside else 1)
         self._updates: dict[bool, Callable[[], None]] = {}
         self._observation: Any = None
@@ -154,42 +153,9 @@ class Sensor:
         self._clearance = wp.full(start.shape, self.settings.clearance, dtype=wp.float32, device=self.device)
         return _shapes(start, end, self._clearance)
 
-    def _allocate_clouds(self) -> None:
-        """Clouds lie [world, cloud, axis, point] on a CPU, worlds innermost on a GPU (neighbouring threads)."""
-        n, count, width = self.num_worlds, self.settings.points, self.width
-        groups = -(-(count // width) // width)
-        bounds = (groups + -(-groups // width)) * width  # of chunks, then of groups of chunks, in whole lanes
-        self._memory = {
-            "flat": self._zeros((n, NUM_CLOUDS, 3, count)),
-            "near": self._zeros((n, count)),
-            "bound": self._zeros((n, NUM_CLOUDS, 6, bounds) if width > 1 else (1, 1, 1, 1)),
-            "present": wp.zeros((n, NUM_CLOUDS), dtype=int, device=self.device),
-        }
-        bound = wp.to_torch(self._memory["bound"])
-        bound[:, :, :3] = _NONE_NEAR
-        bound[:, :, 3:] = -_NONE_NEAR
-        self._clouds = cloud_types(width).Clouds()
-        for name, view in (("flat", "point"), ("near", "near"), ("bound", "box")):
-            setattr(self._clouds, view, self._lanes(self._memory[name]))
-        for name in ("flat", "bound", "present"):
-            setattr(self._clouds, name, self._memory[name])
-        self.points: torch.Tensor = wp.to_torch(self._memory["flat"])
-        self.near: torch.Tensor = wp.to_torch(self._memory["near"])
-
-    def _zeros(self, shape: tuple[int, ...]) -> wp.array:
-        if not self._worlds_inside:
-            return wp.zeros(shape, dtype=wp.float32, device=self.device)
-        inner = wp.zeros((*shape[1:], shape[0]), dtype=wp.float32, device=self.device)
-        return inner.transpose((len(shape) - 1, *range(len(shape) - 1)))
-
-    def _lanes(self, memory: wp.array) -> wp.array:
-        """Return the memory seen as lane vectors along its last axis."""
-        if self.width == 1:
-            return memory
-        shape = (*memory.shape[:-1], memory.shape[-1] // self.width)
-        view: Any = wp.array(ptr=memory.ptr, shape=shape, dtype=cloud_types(self.width).Real, device=self.device)
-        view._memory = memory  # a view by pointer does not keep what it points to
-        return view
+    def _memory(self, rows: int) -> CloudMemory:
+        points, inside = self.settings.points, self._worlds_inside
+        return CloudMemory(rows, points, width=self.width, inside=inside, device=self.device)
 
     def _allocate_outputs(self, team: int) -> None:
         s, n = self.settings, self.num_worlds
@@ -201,7 +167,7 @@ class Sensor:
         self._distances, self._tick = zeros(wp.float32, 5), zeros(int)
         self._count, self._point, self._pair = zeros(int, team), zeros(Few, team), zeros(Few, team)
         frequencies = draw_frequencies(s.features, s.bandwidth, s.frequency_seed)
-        self._half: Any = wp.array(frequencies / 2, dtype=wp.vec3, device=self.device)
+        self._waves: Any = wp.array(frequencies.astype(float) / (2 * np.pi), dtype=wp.vec3, device=self.device)
         self.frequencies = torch.tensor(frequencies, device=wp.device_to_torch(self.device))
         self.occlusion: torch.Tensor = wp.to_torch(self._occlusion)
         self.breach: torch.Tensor = wp.to_torch(self._breach)
@@ -212,7 +178,7 @@ class Sensor:
     @property
     def nbytes(self) -> int:
         """Bytes of the clouds and their bounds."""
-        return sum(a.size * wp.types.type_size_in_bytes(a.dtype) for a in self._memory.values())
+        return self._clouds.nbytes
 
     # ---- sensing -------------------------------------------------------------------------------------------------
 
@@ -262,33 +228,66 @@ class Sensor:
         self._updates[not self.device.is_capturing]()
 
     def _prepare(self, *, split: bool) -> Callable[[], None]:
-        """Return a function that launches all kernels; on a CPU each thread takes a run of worlds through all."""
-        cuts = np.linspace(0, self.num_worlds, (self.threads if split else 1) + 1).astype(int).tolist()
-        return together([self.commands(a, b - a) for a, b in pairwise(cuts)])
+        """Return a function that launches all kernels."""
+        return together([[c for block in run for c in block] for run in self.plan(split=split)])
 
-    def commands(self, first: int, count: int) -> list[Any]:
-        """Return the recorded launches for ``count`` worlds from ``first``, after `bind`.
+    def plan(self, *, split: bool = True) -> list[list[list[Any]]]:
+        """Return the recorded launches of an update, after `bind`: for each thread, for each block of its worlds.
 
-        They sample, embed, count occluding pairs, find the nearest points and the closest pairs, and write the scores;
-        a launch costs microseconds and allocates nothing.
+        A thread takes all its blocks through the same memory, which stays in its cache; on a GPU all worlds are one
+        block. The launches of a block sample, embed, count occluding pairs, find the nearest points and the closest
+        pairs, and write the scores.
+
+        Args:
+            split: Whether all CPU threads take part; else one takes all worlds.
         """
+        cuts = np.linspace(0, self.num_worlds, (self.threads if split else 1) + 1).astype(int).tolist()
+        block = self._block
+        return [[self._commands(i, min(block, b - i), block * thread) for i in range(a, b, block)]
+                for thread, (a, b) in enumerate(pairwise(cuts))]  # fmt: skip
+
+    def clouds(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Draw the clouds of the last `update` again, for all worlds, into memory of their own.
+
+        An update keeps no more clouds than it is working on. Points are a function of (seed, world, tick) and the
+        scene, which is read as it is now.
+
+        Returns:
+            Points [worlds, 3, 3, points] of robot, target and branches [m], coordinates before points, neighbours in
+            memory being neighbours in space; and 1 for branch points of the zoomed cloud, else 0 [worlds, points].
+        """
+        memory = self._memory(self.num_worlds)
+        self._sample(0, self.num_worlds, 0, memory, wp.from_torch(self.tick - 1)).launch()
+        return memory.points, memory.near
+
+    def _sample(self, first: int, count: int, row: int, clouds: CloudMemory, tick: Any) -> Any:
+        """Return the launch that draws the clouds of ``count`` worlds from ``first`` into rows from ``row``."""
+        s, w = self.settings, self.width
+        inputs = [self._capsules, self._num_arm, self._target, float(s.rounded), s.zoom, self._seed, tick,
+                  self._max_noise, first, row, clouds.kernel]  # fmt: skip
+        dim = (count, NUM_CLOUDS) if w > 1 else (NUM_CLOUDS, count)
+        return wp.launch(sample_kernel(w), dim=dim, inputs=inputs, device=self.device, record_cmd=True)
+
+    def _commands(self, first: int, count: int, row: int) -> list[Any]:
+        """Return the recorded launches for ``count`` worlds from ``first``, whose clouds go to rows from ``row``."""
         s, w, team = self.settings, self.width, self._count.shape[1]
         embedded, local = self._columns
-        by_cloud = (count, NUM_CLOUDS) if w > 1 else (NUM_CLOUDS, count)
-        by_wave = (*by_cloud, s.features) if w > 1 else (s.features, *by_cloud)
-        cap, near, limit = float(s.rounded), s.margin**2 * _BEYOND, (5 * s.margin) ** 2 * _BEYOND
+        waves = s.features if self.device.is_cuda else 1
+        by_wave = (count, NUM_CLOUDS, waves) if w > 1 else (waves, NUM_CLOUDS, count)
+        near, limit = s.margin**2 * _BEYOND, (5 * s.margin) ** 2 * _BEYOND
+        clouds = self._clouds.kernel
         plan: list[tuple[Any, tuple[int, ...], list[Any]]] = [
-            (sample_kernel(w), by_cloud, [self._capsules, self._num_arm, self._target, cap, s.zoom, self._seed,
-                                          self._tick, self._max_noise, first, self._clouds]),
-            (embed_clouds_kernel(w), by_wave, [self._clouds, self._half, embedded, first, self._observation]),
+            (embed_clouds_kernel(w), by_wave,
+             [clouds, self._waves, embedded, first, row, waves, self._observation]),
             (occlusion_kernel(w), (team, count),
-             [self._clouds, _squared(s.threshold), s.pairs, first, self._count]),
-            (nearest_kernel(w), (team, count), [self._clouds, self._ee, s.farthest**2, first, self._point]),
-            (margin_kernel(w), (team, count), [self._clouds, near, limit, first, self._pair]),
+             [clouds, _squared(s.threshold), s.pairs, first, row, self._count]),
+            (nearest_kernel(w), (team, count), [clouds, self._ee, s.farthest**2, first, row, self._point]),
+            (margin_kernel(w), (team, count), [clouds, near, limit, first, row, self._pair]),
             (finish_kernel, (count,), [self._count, self._point, self._pair, s.pairs, s.margin, local, first,
                                        self._tick, self._occlusion, self._distances, self._breach, self._observation]),
         ]  # fmt: skip
-        return [wp.launch(k, dim=d, inputs=i, device=self.device, record_cmd=True) for k, d, i in plan]
+        launches = [wp.launch(k, dim=d, inputs=i, device=self.device, record_cmd=True) for k, d, i in plan]
+        return [self._sample(first, count, row, self._clouds, self._tick), *launches]
 
 
 def _squared(distance: float) -> float:

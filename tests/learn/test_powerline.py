@@ -137,7 +137,7 @@ def test_observations_are_table_5_1(env):
     np.testing.assert_array_equal(seen[:, :6], sim.q.numpy())
     np.testing.assert_array_equal(seen[:, 6:12], sim.qd.numpy())
     np.testing.assert_array_equal(seen[:, 12:16], sim.end_rotation.numpy())
-    points, near, w = (x.numpy().astype(float) for x in (s.points, s.near, s.frequencies))
+    points, near, w = (x.numpy().astype(float) for x in (*s.clouds(), s.frequencies))
     rob, clr, wbr = (points[:, k].transpose(0, 2, 1) for k in range(3))
     every = np.ones_like(near)
     for cloud, mask, column in ((wbr, every, 16), (wbr, near, 32), (clr, every, 48), (rob, every, 64)):
@@ -360,7 +360,7 @@ def test_other_targets_are_covered_and_run(name):
     assert task.sensor.occlusion.mean() >= 0.7
     observed, reward, done = run(task, actions(SMALL.episode_steps, 32))
     assert observed.isfinite().all() and reward.isfinite().all() and done[-1].all()
-    target = task.sensor.points[:, 1].numpy()
+    target = task.sensor.clouds()[0][:, 1].numpy()
     length = np.linalg.norm(np.ptp(target, axis=2), axis=1)
     low, high = {"exposure": (0.15, 0.25), "inspection": (0.25, 0.60)}[name]  # a ball of 6 cm; 25-35 by 20 cm
     assert (length > low).all() and (length < high).all()

@@ -11,6 +11,7 @@ import warp as wp
 from bough.kernels.embedding import embed_clouds_kernel
 from bough.kernels.nearest import finish_kernel, margin_kernel, nearest_kernel, occlusion_kernel
 from bough.kernels.point_cloud import sample_kernel
+from bough.perception import sensor as sensor_module
 from bough.perception.sensor import COLUMNS, Sensor, SensorSettings
 from bough.sim.errors import InputError
 from oracles.point_scene import embedding, point_scene, squared_distances, top_pairs_score
@@ -34,7 +35,7 @@ def make(scene, *, seed=0, noise=0.0, width=None, threads=1, columns=COLUMNS, **
 
 def cloud(sensor, which):
     """Return a copy of one cloud, [worlds, N, 3]."""
-    return sensor.points[:, which].mT.numpy().copy()
+    return sensor.clouds()[0][:, which].mT.numpy().copy()
 
 
 def distance_to_axes(points, start, end):
@@ -171,7 +172,7 @@ def test_noise_is_gaussian():
     for _ in range(6):
         plain.update()
         noisy.update()
-        errors.append((noisy.points - plain.points).numpy().astype(np.float64))
+        errors.append((noisy.clouds()[0] - plain.clouds()[0]).numpy().astype(np.float64))
     errors = np.concatenate(errors, axis=-1)
     assert (errors[0] == 0).all()
     for world, most in ((1, 0.005), (2, 0.04)):
@@ -202,16 +203,16 @@ def test_draws_are_keyed_by_seed_world_and_tick():
     both = SimpleNamespace(capsules=twins, line=line, ee=twice(scene.ee), start=np.zeros(2))
     sensor, observation = make(both, noise=0.02)
     sensor.update(tick=7)
-    first, seen = sensor.points.clone(), observation.clone()
+    first, seen = sensor.clouds()[0], observation.clone()
     assert sensor.tick.tolist() == [8, 8]
     assert not torch.isclose(first[0], first[1], atol=1e-5).any(-1).all()
     sensor.update()
-    assert (sensor.points != first).float().mean() > 0.99
+    assert (sensor.clouds()[0] != first).float().mean() > 0.99
     sensor.update(observation, tick=torch.tensor([7, 7], dtype=torch.int32))
-    assert torch.equal(sensor.points, first) and torch.equal(observation.nan_to_num(), seen.nan_to_num())
+    assert torch.equal(sensor.clouds()[0], first) and torch.equal(observation.nan_to_num(), seen.nan_to_num())
     other, _ = make(both, noise=0.02, seed=1)
     other.update(tick=7)
-    assert (other.points != first).float().mean() > 0.99
+    assert (other.clouds()[0] != first).float().mean() > 0.99
 
 
 def test_numbers_of_worlds_and_ticks_are_unrelated():
@@ -223,7 +224,7 @@ def test_numbers_of_worlds_and_ticks_are_unrelated():
     for _ in range(3):
         plain.update()
         noisy.update()
-        errors.append((noisy.points - plain.points).flatten(1).double().numpy() / 0.01)
+        errors.append((noisy.clouds()[0] - plain.clouds()[0]).flatten(1).double().numpy() / 0.01)
     e = np.stack(errors)  # ticks, worlds, numbers
     for a, b in ((e[1:], e[:-1]), (e[:, 1:], e[:, :-1]), (e[..., 1:], e[..., :-1])):
         assert abs((a * b).mean()) < 4.5 / np.sqrt(a.size)
@@ -237,8 +238,22 @@ def test_threads_do_not_change_bits(threads):
         sensor, observation = make(point_scene(17), noise=0.02, threads=count)
         for _ in range(3):
             sensor.update()
-        results.append((observation.nan_to_num(), sensor.points.clone(), sensor.occlusion, sensor.distances))
+        results.append((observation.nan_to_num(), sensor.clouds()[0], sensor.occlusion, sensor.distances))
     assert all(map(torch.equal, *results))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_blocks_do_not_change_bits(monkeypatch, threads):
+    """Take 17 worlds through the same rows of memory, 4 at a time: every output keeps its bits."""
+    results = []
+    for block in (32, 4):
+        monkeypatch.setattr(sensor_module, "_BLOCK", block)
+        sensor, observation = make(point_scene(17), noise=0.02, threads=threads)
+        for _ in range(3):
+            sensor.update()
+        results.append((observation.nan_to_num(), sensor.clouds()[0], sensor.occlusion, sensor.distances))
+    assert all(map(torch.equal, *results))
+    assert sensor.nbytes <= threads * 4 * 32 * 1024  # of rows, not of worlds
 
 
 @pytest.mark.parametrize("points", [16, 48, 512])
@@ -248,7 +263,7 @@ def test_widths_agree(points):
     for width in WIDTHS:
         sensor, observation = make(point_scene(9), noise=0.02, width=width, points=points)
         sensor.update()
-        results.append((sensor.points.clone(), observation[:, 16:80].clone(), sensor.distances))
+        results.append((sensor.clouds()[0], observation[:, 16:80].clone(), sensor.distances))
     for other in results[1:]:
         for a, b in zip(results[0], other, strict=True):
             torch.testing.assert_close(a, b, rtol=0, atol=2e-5)
@@ -277,9 +292,9 @@ def test_outputs_equal_brute_force(width, points):
     robot, target, branches = (cloud(sensor, k) for k in range(3))
     waves = sensor.frequencies.numpy()
     axis = distance_to_axes(branches, scene.line.start.numpy()[:, None], scene.line.end.numpy()[:, None])[..., 0]
-    np.testing.assert_array_equal(sensor.near.numpy() > 0, axis < 0.3)
+    np.testing.assert_array_equal(sensor.clouds()[1].numpy() > 0, axis < 0.3)
     expected = {"rob": embedding(robot, waves), "clr": embedding(target, waves), "wbr": embedding(branches, waves),
-                "zbr": embedding(branches, waves, sensor.near.numpy() > 0)}  # fmt: skip
+                "zbr": embedding(branches, waves, sensor.clouds()[1].numpy() > 0)}  # fmt: skip
     for name, value in expected.items():
         columns = observation[:, COLUMNS[name] : COLUMNS[name] + 16]
         np.testing.assert_allclose(columns, value, rtol=0, atol=2e-6, err_msg=name)
@@ -302,9 +317,9 @@ def test_permuted_clouds_give_the_same_embedding():
     sensor, observation = make(point_scene(6), noise=0.02)
     sensor.update()
     order = torch.randperm(512, generator=torch.Generator().manual_seed(0))
-    shuffled = sensor.points[:, BRANCHES].mT[:, order]
+    shuffled = sensor.clouds()[0][:, BRANCHES].mT[:, order]
     assert (embed(shuffled) - observation[:, 16:32]).abs().max() < 1e-6
-    assert (embed(shuffled, mask=sensor.near[:, order] > 0) - observation[:, 32:48]).abs().max() < 1e-6
+    assert (embed(shuffled, mask=sensor.clouds()[1][:, order] > 0) - observation[:, 32:48]).abs().max() < 1e-6
 
 
 def test_worlds_without_branches():
@@ -346,9 +361,8 @@ def test_wide_observation_of_warp():
 def test_outputs_are_the_kernels_memory(monkeypatch):
     """Run updates with every way of making a Warp array or a tensor closed: nothing is allocated, nothing copied."""
     sensor, observation = make(point_scene(6), noise=0.01, threads=2)
-    views = (sensor.occlusion, sensor.breach, sensor.distances, sensor.points, sensor.near, sensor.tick, observation)
+    views = (sensor.occlusion, sensor.breach, sensor.distances, sensor.tick, observation)
     pointers = [v.data_ptr() for v in views]
-    assert sensor.points.data_ptr() == sensor._clouds.flat.ptr == sensor._clouds.point.ptr
 
     def closed(*_args, **_kwargs):
         raise AssertionError("allocated or copied")
@@ -397,7 +411,7 @@ def test_memory_order_of_a_gpu_gives_the_same_bits(monkeypatch):
         sensor, observation = make(near_scene(5), noise=0.02, width=1)
         sensor.update()
         assert sensor._count.shape[1] == (32 if flipped else 1)
-        results.append((observation.nan_to_num(), sensor.points.clone(), sensor.near.clone(), sensor.breach))
+        results.append((observation.nan_to_num(), sensor.clouds()[0], sensor.clouds()[1], sensor.breach))
     assert all(map(torch.equal, *results))
 
 
