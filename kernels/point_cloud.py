@@ -89,8 +89,8 @@ def cloud_types(width: int = 1) -> SimpleNamespace:
 
 @wp.func
 def capsule_area(r: float, length: float, cap: float):
-    """2 pi r (L + 2 r cap) [m^2]: ``cap`` is 1 with round ends, 0 for the side alone."""
-    return TWO_PI * r * (length + 2.0 * r * cap)
+    """2 pi r (L + 2 r cap) [m^2]: ``cap`` is 1 with round ends, 0 for the side alone; 0 where r is not above 0."""
+    return TWO_PI * wp.max(r, 0.0) * (length + 2.0 * r * cap)
 
 
 @wp.func
@@ -157,6 +157,19 @@ def draw_levels(key: wp.uint32, n: int, lanes: int, x: Any, y: Any, z: Any):
 
 
 @wp.func
+def measure_shapes(w: int, s: Shapes, first: int, last: int, cap: float):
+    """Return the area of shapes first ... last - 1 of world w and which is the last that has any, -1 for none."""
+    total = wp.float32(0.0)
+    final = wp.int32(-1)
+    for i in range(first, last):
+        area = capsule_area(s.radius[w, i], wp.length(s.end[w, i] - s.start[w, i]), cap)
+        if area > 0.0:
+            total = total + area
+            final = i
+    return total, final
+
+
+@wp.func
 def spread_points(
     w: int, s: Shapes, first: int, last: int, cap: float, row: int, k: int, key: wp.uint32, lanes: int, c: Any
 ):
@@ -165,13 +178,7 @@ def spread_points(
     Shapes come in their order, and so do levels: a chunk is finished by the shape that its last point is on, and stored
     then (a store of some lanes is slow on a CPU).
     """
-    total = wp.float32(0.0)
-    final = wp.int32(-1)
-    for i in range(first, last):
-        r = s.radius[w, i]
-        if r > 0.0:
-            total = total + capsule_area(r, wp.length(s.end[w, i] - s.start[w, i]), cap)
-            final = i
+    total, final = measure_shapes(w, s, first, last, cap)
     c.present[row, k] = wp.where(final < 0, 0, 1)
     xs = c.point[row, k, 0]
     ys = c.point[row, k, 1]
@@ -186,13 +193,14 @@ def spread_points(
     edge = wp.float32(0.0)
     for i in range(first, final + 1):
         r = s.radius[w, i]
-        if r > 0.0:
-            start = s.start[w, i]
-            axis = s.end[w, i] - start
-            length = wp.length(axis)
+        start = s.start[w, i]
+        axis = s.end[w, i] - start
+        length = wp.length(axis)
+        area = capsule_area(r, length, cap)
+        if area > 0.0:
             frame = frame_of(axis, length)
             start_level = edge
-            edge = wp.where(i == final, FAR_EDGE, edge + capsule_area(r, length, cap))
+            edge = wp.where(i == final, FAR_EDGE, edge + area)
             while j < chunks:
                 ahead = level - start_level
                 px, py, pz = on_capsule(ahead, ys[j], zs[j], start, frame, length, r, cap)

@@ -99,6 +99,6 @@ def preset_of(device: str) -> Preset:
 
 
 PRESETS: dict[Preset, PPOSettings] = {
-    "cpu": PPOSettings(num_envs=512, iterations=450, horizon=24, checkpoint_every=10),
+    "cpu": PPOSettings(num_envs=512, iterations=800, horizon=24, checkpoint_every=10),
     "gpu": PPOSettings(num_envs=6144, iterations=1250, horizon=24),
 }
