@@ -1,12 +1,13 @@
 """Lanes that hold points of one world, not worlds: sums and bounds across lanes, logarithm, random numbers.
 
-Everything has a form for one lane (GPU) and for 8 and 16 lanes (CPU), like the operations of `real`:
+Everything has a form for one lane (GPU) and for 8 and 16 lanes (CPU), like the operations of `real`, but what only
+serves to leave out chunks of points on a CPU (``row_least``, ``tally``, ``negatives``):
 
 ==========================  =========================================================================================
 ``uniform_high(key, n, a)`` random numbers in (0, 1) of 16 bits, lane i a function of ``key + n + i`` alone;
 ``centred_low(key, n, a)``  the other 16 bits, in (-1/2, 1/2)
 ``log_(a)``                 natural logarithm of a in (0, 1), to a share of 2e-6
-``sine_pi(r)``              sin(pi r) for r in [-1/2, 1/2], error below 1e-7; ``cosine_pi(r)`` likewise
+``sine_pi(r)``              sin(pi r) for r in [-1/2, 1/2], error below 2e-7; ``cosine_pi(r)`` likewise
 ``running_sum(a)``          lane i holds a[0] + ... + a[i]
 ``lane_sum(a)``             sum of the lanes, in one order always
 ``least(a)``                smallest lane; ``greatest(a)`` largest
@@ -146,11 +147,6 @@ def min_(a: F, b: F):
 @wp.func
 def below(a: F, b: F):
     return wp.where(a < b, 1.0, 0.0)
-
-
-@wp.func
-def tally(count: F, a: F, b: F):
-    return wp.where(a < b, count + 1.0, count)
 
 
 @wp.func_native("return __builtin_ctz(bits);")
