@@ -27,7 +27,7 @@ from typing import Any
 
 import warp as wp
 
-from .real import REAL_OF_WIDTH, _native, add, div, fma, fnma, mul, real, round_, sqrt_, sub, where_neg
+from .real import REAL_OF_WIDTH, _native, fma, mul, real, sub
 
 __all__ = ["cosine_pi", "key_of", "log_", "sine_pi"]
 

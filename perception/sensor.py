@@ -272,7 +272,7 @@ class Sensor:
         """Return the recorded launches for ``count`` worlds from ``first``, whose clouds go to rows from ``row``."""
         s, w, team = self.settings, self.width, self._count.shape[1]
         embedded, local = self._columns
-        waves = s.features if self.device.is_cuda else 1
+        waves = s.features if self._worlds_inside else 1
         by_wave = (count, NUM_CLOUDS, waves) if w > 1 else (waves, NUM_CLOUDS, count)
         near, limit = s.margin**2 * _BEYOND, (5 * s.margin) ** 2 * _BEYOND
         clouds = self._clouds.kernel

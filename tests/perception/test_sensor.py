@@ -361,8 +361,10 @@ def test_wide_observation_of_warp():
 def test_outputs_are_the_kernels_memory(monkeypatch):
     """Run updates with every way of making a Warp array or a tensor closed: nothing is allocated, nothing copied."""
     sensor, observation = make(point_scene(6), noise=0.01, threads=2)
-    views = (sensor.occlusion, sensor.breach, sensor.distances, sensor.tick, observation)
+    memory = sensor._clouds
+    views = (sensor.occlusion, sensor.breach, sensor.distances, memory.points, memory.near, sensor.tick, observation)
     pointers = [v.data_ptr() for v in views]
+    assert memory.points.data_ptr() == memory.kernel.flat.ptr == memory.kernel.point.ptr
 
     def closed(*_args, **_kwargs):
         raise AssertionError("allocated or copied")
