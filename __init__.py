@@ -10,4 +10,6 @@ Rooms, each importing only from those before it:
 Units are SI (m, kg, s, rad, N) and quaternions are ``w, x, y, z`` everywhere.
 """
 
-__version__ = "0.1.0"
+from .version import __version__
+
+__all__ = ["__version__"]

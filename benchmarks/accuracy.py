@@ -23,9 +23,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import warp as wp
-from bough.sim.model import Model
-from bough.sim.simulator import Simulator
-from bough.sim.tree import Tree
+from bough.sim.engine.model import Model
+from bough.sim.engine.simulator import Simulator
+from bough.sim.trees.tree import Tree
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table

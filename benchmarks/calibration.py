@@ -39,16 +39,16 @@ from typing import Any
 import matplotlib
 import numpy as np
 import torch
-from bough.learn.case import BranchCase, load_case
-from bough.learn.figures import ALARM, FAINT, MODEL, NOISE, png
-from bough.learn.identify import Identification, Settings, run
-from bough.learn.plant import free_of
-from bough.learn.plant_branch import BranchPlant
-from bough.learn.posterior import Posterior
-from bough.learn.prior import Prior
-from bough.learn.simulated_case import Experiment, random_branch, static_force, write_simulated_case
-from bough.learn.threads import one_thread
-from bough.sim.host import describe, num_threads
+from bough.learn.cases.case import BranchCase, load_case
+from bough.learn.inference.identify import Identification, Settings, run
+from bough.learn.inference.posterior import Posterior
+from bough.learn.priors.prior import Prior
+from bough.learn.replay.simulated_case import Experiment, random_branch, static_force, write_simulated_case
+from bough.learn.reports.figures import ALARM, FAINT, MODEL, NOISE, png
+from bough.learn.runs.threads import one_thread
+from bough.learn.systems.branch import BranchSystem
+from bough.learn.systems.system import free_of
+from bough.sim.base.host import describe, num_threads
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -95,10 +95,10 @@ class SpringPrior(Prior):
 
 
 def prior_of(meta: dict[str, Any]) -> SpringPrior:
-    """Return the prior of a branch, about the typical values of `BranchPlant`."""
+    """Return the prior of a branch, about the typical values of `BranchSystem`."""
     length, a, b = (np.array([s[k] for s in meta["segments"]]) for k in ("length_m", "radius_base_m", "radius_tip_m"))
-    spring = BranchPlant.TYPICAL_YOUNG * np.pi * ((a + b) / 2.0) ** 4 / (2.0 * length)
-    return SpringPrior(torch.as_tensor(np.log(np.concatenate([spring, spring * BranchPlant.TYPICAL_RELAXATION]))))
+    spring = BranchSystem.TYPICAL_YOUNG * np.pi * ((a + b) / 2.0) ** 4 / (2.0 * length)
+    return SpringPrior(torch.as_tensor(np.log(np.concatenate([spring, spring * BranchSystem.TYPICAL_RELAXATION]))))
 
 
 def springs(theta: np.ndarray) -> dict[str, np.ndarray]:

@@ -27,10 +27,10 @@ import mujoco
 import numpy as np
 import torch
 import warp as wp
-from bough.sim import host
-from bough.sim.arm_simulator import ArmSimulator
-from bough.sim.jaco2 import jaco2
-from bough.sim.tree import Tree
+from bough.sim.arms.jaco2 import jaco2
+from bough.sim.arms.simulator import ArmSimulator
+from bough.sim.base import host
+from bough.sim.trees.tree import Tree
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from oracles import contact_case, mujoco_arm

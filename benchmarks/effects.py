@@ -18,11 +18,11 @@ import sys
 import numpy as np
 import torch
 import warp as wp
-from bough.sim import host
-from bough.sim.forest_effects import forest_laws
-from bough.sim.model import Model
-from bough.sim.simulator import Simulator
-from bough.sim.tree import Tree
+from bough.sim.base import host
+from bough.sim.engine.forest_effects import forest_laws
+from bough.sim.engine.model import Model
+from bough.sim.engine.simulator import Simulator
+from bough.sim.trees.tree import Tree
 from tree import BEND, DT, InvalidRunError, Result, Row, check_bough, measure, random_qpos, ratios, ternary_tree
 
 #: A value [low, high] of every parameter that the rows switch on.

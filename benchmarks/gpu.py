@@ -40,9 +40,9 @@ def load_bough() -> SimpleNamespace:
         module = importlib.util.module_from_spec(spec)
         sys.modules["bough"] = module
         spec.loader.exec_module(module)
-    from bough.sim.model import Model
-    from bough.sim.simulator import Simulator
-    from bough.sim.tree import Joint, Tree, capsule_inertia
+    from bough.sim.engine.model import Model
+    from bough.sim.engine.simulator import Simulator
+    from bough.sim.trees.tree import Joint, Tree, capsule_inertia
 
     return SimpleNamespace(Model=Model, Simulator=Simulator, Joint=Joint, Tree=Tree, capsule_inertia=capsule_inertia)
 
@@ -232,8 +232,8 @@ def check_newton(device: str, quick: bool) -> dict[str, Any]:
     """Step a Newton model on the device, captured as a graph: the joints of the same steps on the CPU."""
     if importlib.util.find_spec("newton") is None:
         return {"ok": True, "skipped": "Newton is not installed"}
-    from bough.sim.newton_bridge import to_newton
-    from bough.sim.newton_solver import BoughSolver
+    from bough.sim.newton.bridge import to_newton
+    from bough.sim.newton.solver import BoughSolver
 
     found = []
     for where in (device, "cpu"):

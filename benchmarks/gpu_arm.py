@@ -20,7 +20,8 @@ THESIS_EMBEDDING, THESIS_SUCCESS = 1.2e-3, 68.4
 
 
 def _task(device: str, quick: bool, worlds: int, test: bool = False) -> Any:
-    from bough.learn.tasks import PRESETS, make_task
+    from bough.learn.tasks.clearing import make_task
+    from bough.learn.tasks.settings import PRESETS
 
     preset = PRESETS["cpu" if quick else "gpu"]
     return make_task("powerline", preset, num_envs=worlds, seed=0, device=device, test=test)
@@ -123,10 +124,10 @@ class TimeUpError(Exception):
 
 def measure_training(device: str, quick: bool, seconds: float, out: Path) -> dict[str, Any]:
     """Train towards table 5.2 for as long as there is time, then evaluate in unseen worlds with all contacts on."""
-    from bough.learn.evaluate import evaluate
-    from bough.learn.ppo_settings import PRESETS as SIZES
-    from bough.learn.task import builtin_tasks
-    from bough.learn.train import Plan, train
+    from bough.learn.policies.evaluate import evaluate
+    from bough.learn.policies.ppo_settings import PRESETS as SIZES
+    from bough.learn.policies.train import Plan, train
+    from bough.learn.tasks.registry import builtin_tasks
 
     registry, name = builtin_tasks(), "cpu" if quick else "gpu"
     small = {"num_envs": 16, "iterations": 2, "horizon": 8} if quick else {}

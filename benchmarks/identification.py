@@ -4,7 +4,7 @@
 
 Cases come from `tests/oracles/branch_case.py`: C MuJoCo, more links than either model has, R = 1, 2, 3 segments, 1, 3
 and 5 % noise. Both are given the same recordings to learn from and the same ones held out (bough's split), the same
-start (`BranchPlant`'s typical springs), the same box, the same step, the same noise estimated from the data:
+start (`BranchSystem`'s typical springs), the same box, the same step, the same noise estimated from the data:
 displacement and velocity of the grasp point. Both learn K and D of every joint. Both identify one more case before the
 clock runs.
 
@@ -45,13 +45,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from bough.learn.case import BranchCase, BranchTrajectory, load_case
-from bough.learn.identify import Settings, identify
-from bough.learn.noise import estimate_noise
-from bough.learn.plant_branch import BranchPlant
-from bough.sim.export_mjcf import to_mjcf
-from bough.sim.files import output_folder
-from bough.sim.host import describe
+from bough.learn.cases.case import BranchCase, BranchTrajectory, load_case
+from bough.learn.cases.noise import estimate_noise
+from bough.learn.inference.identify import Settings, identify
+from bough.learn.systems.branch import BranchSystem
+from bough.sim.base.files import output_folder
+from bough.sim.base.host import describe
+from bough.sim.formats.export_mjcf import to_mjcf
 from mujoco import minimize, sysid
 from rich.console import Console
 from rich.progress import track
@@ -129,9 +129,9 @@ class SysidBranch:
 
     def __init__(self, case: BranchCase, sigma: np.ndarray) -> None:
         self.case, self.sigma = case, sigma
-        plant = BranchPlant(case)
-        self.steps = int(np.ceil(case.dt / plant.substep - 1e-9))
-        tree = plant.tree.with_(preload=np.zeros_like(plant.tree.preload))
+        system = BranchSystem(case)
+        self.steps = int(np.ceil(case.dt / system.substep - 1e-9))
+        tree = system.tree.with_(preload=np.zeros_like(system.tree.preload))
         self.spec = mujoco.MjSpec.from_string(to_mjcf(tree, gravity=case.gravity, timestep=case.dt / self.steps))
         self.spec.option.disableflags |= int(OFF)
         self._add_grasp(tree.link_name)
@@ -141,7 +141,7 @@ class SysidBranch:
         self.load = data.qfrc_bias.reshape(-1, 3).copy()
         self.start = sysid.create_initial_state(self.model, data.qpos)
         self.params = sysid.ParameterDict()
-        for p in plant.parameters:
+        for p in system.parameters:
             self.params.add(sysid.Parameter(p.name, p.start, p.free(p.low), p.free(p.high)))
 
     def _add_grasp(self, names: list[str]) -> None:

@@ -2,8 +2,8 @@
 
     python benchmarks/identification_cost.py --out DIR [--branches N]
 
-Every number is the median over N branches of the model's own structure (`learn/simulated_case.py`), identified with
-default settings but for what is varied. Prints the power of size that time grows with.
+Every number is the median over N branches of the model's own structure (`learn/replay/simulated_case.py`),
+identified with default settings but for what is varied. Prints the power of size that time grows with.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from bough.learn.identify import Identification, Settings
-from bough.learn.simulated_case import Experiment, random_branch, write_simulated_case
-from bough.learn.threads import one_thread
-from bough.sim.console import start_warp
-from bough.sim.host import describe
+from bough.learn.inference.identify import Identification, Settings
+from bough.learn.replay.simulated_case import Experiment, random_branch, write_simulated_case
+from bough.learn.runs.threads import one_thread
+from bough.sim.base.console import start_warp
+from bough.sim.base.host import describe
 
 SIZES = {"particles": (32, 64, 128), "trajectories": (3, 6, 12), "segments": (1, 2, 3, 4)}
 DEFAULT = {"particles": 64, "trajectories": 6, "segments": 3}

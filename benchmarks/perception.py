@@ -8,9 +8,9 @@ cdist and topk. On a CPU both have one thread and are timed by the processor tim
 after a synchronisation. Rows are measured in turn, several times over; medians are printed.
 
 The PointNet++ encoder is PyTorch Geometric's (`PointNetConv`, the sizes of its classification example), if that is
-installed, else the same set abstraction in plain torch (`learn.pointnet`). Farthest point sampling is left out of both
-(every second and every fourth point is a centre instead) and neighbours are the 32 nearest, found by torch: a lower
-bound of its cost. torch-cluster, which would do both, has no wheel for this torch.
+installed, else the same set abstraction in plain torch (`learn.thesis.chapter5.pointnet`). Farthest point sampling is
+left out of both (every second and every fourth point is a centre instead) and neighbours are the 32 nearest, found by
+torch: a lower bound of its cost. torch-cluster, which would do both, has no wheel for this torch.
 
 With ``--figure`` the error of inner products against the RBF kernel over R is drawn as well.
 
@@ -32,11 +32,11 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
-from bough.learn.pointnet import PointNet, layers, neighbours
+from bough.learn.thesis.chapter5.pointnet import PointNet, layers, neighbours
 from bough.perception import embed
 from bough.perception.sensor import COLUMNS, Sensor
-from bough.sim import host
-from bough.sim.thread_pool import Job, Launches, run
+from bough.sim.base import host
+from bough.sim.base.thread_pool import Job, Launches, run
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from oracles.point_scene import point_scene

@@ -33,10 +33,11 @@ BUILD_S, MEMORY_GIB, FLAT, SENSING = 120.0, 3.0, 0.25, 0.40
 def measure(worlds: int, preset: str, device: str, seconds: float) -> dict[str, Any]:
     """Build the task, then step it under random actions for a while; kernels are compiled before the clock starts."""
     import torch
-    from bough.learn.ppo_runner import Runner
-    from bough.learn.ppo_settings import PRESETS as PPO
-    from bough.learn.processes import Processes
-    from bough.learn.tasks import PRESETS, make_task
+    from bough.learn.policies.ppo_runner import Runner
+    from bough.learn.policies.ppo_settings import PRESETS as PPO
+    from bough.learn.runs.processes import Processes
+    from bough.learn.tasks.clearing import make_task
+    from bough.learn.tasks.settings import PRESETS
 
     make_task("powerline", PRESETS[preset], num_envs=16, seed=1, device=device).step(torch.zeros(16, 6, device=device))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20

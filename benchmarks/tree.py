@@ -24,10 +24,10 @@ from pathlib import Path
 
 import numpy as np
 import warp as wp
-from bough.sim import host
-from bough.sim.model import Model
-from bough.sim.simulator import Simulator
-from bough.sim.tree import Joint, Tree, capsule_inertia
+from bough.sim.base import host
+from bough.sim.engine.model import Model
+from bough.sim.engine.simulator import Simulator
+from bough.sim.trees.tree import Joint, Tree, capsule_inertia
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from oracles import mujoco_tree

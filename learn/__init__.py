@@ -1,1 +1,1 @@
-"""Measured cases, inference of parameters, prediction and reports."""
+"""Measured cases, inference, what a model lacks, tasks and policies, reports."""

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 import warp as wp
 
-from ..kernels.point_cloud import NOWHERE, NUM_CLOUDS, cloud_types
+from ..kernels.points.cloud import NOWHERE, NUM_CLOUDS, cloud_types
 
 
 class CloudMemory:
@@ -18,7 +18,7 @@ class CloudMemory:
     neighbouring worlds (on a GPU).
 
     Attributes:
-        kernel: What kernels take (`kernels.point_cloud.cloud_types`).
+        kernel: What kernels take (`kernels.points.cloud.cloud_types`).
         points: Clouds robot, target, branches [m], torch view [rows, 3, 3, points], coordinates before points.
             Neighbours in memory are neighbours in space.
         near: 1 for branch points of the zoomed cloud, torch view [rows, points].

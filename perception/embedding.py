@@ -11,11 +11,11 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..kernels.cloud_tensors import count_pairs_kernel, embed_points_kernel
-from ..kernels.real import real_type
-from ..sim.errors import InputError
-from ..sim.host import num_threads, simd_width
-from ..sim.thread_pool import together
+from ..kernels.lanes.real import real_type
+from ..kernels.points.tensors import count_pairs_kernel, embed_points_kernel
+from ..sim.base.errors import InputError
+from ..sim.base.host import num_threads, simd_width
+from ..sim.base.thread_pool import together
 from .frequencies import draw_frequencies
 
 #: Clouds a CPU thread should have at least: handing over to another costs some 50 microseconds.

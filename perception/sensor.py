@@ -12,13 +12,13 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..kernels.embedding import embed_clouds_kernel
-from ..kernels.nearest import Few, finish_kernel, margin_kernel, nearest_kernel, occlusion_kernel
-from ..kernels.point_cloud import NUM_CLOUDS, Shapes, sample_kernel
-from ..sim import arrays
-from ..sim.errors import InputError
-from ..sim.host import num_threads, simd_width
-from ..sim.thread_pool import together
+from ..kernels.points.cloud import NUM_CLOUDS, Shapes, sample_kernel
+from ..kernels.points.embedding import embed_clouds_kernel
+from ..kernels.points.nearest import Few, finish_kernel, margin_kernel, nearest_kernel, occlusion_kernel
+from ..sim.base.errors import InputError
+from ..sim.base.host import num_threads, simd_width
+from ..sim.base.thread_pool import together
+from ..sim.engine import arrays
 from .cloud_memory import CloudMemory
 from .frequencies import draw_frequencies
 

@@ -1,1 +1,1 @@
-"""Trees and their simulation: descriptions, models, states, the simulator, files in and out, the Newton bridge."""
+"""Trees and their simulation: descriptions, models, states, the simulator, arms, scenes, files in and out."""

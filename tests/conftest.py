@@ -11,11 +11,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 #: Files that take minutes, longest first. They begin first, so that no worker is left with one when the other is done.
 LONG = (
-    "learn/test_gap.py", "test_repository.py", "stories/test_diagnose_story.py", "stories/test_train_story.py",
-    "stories/test_identify_story.py", "learn/test_gap_real.py", "learn/test_chapter3.py", "sim/test_contact_worlds.py",
-    "sim/test_contact.py", "stories/test_simulate_story.py", "kernels/test_ptx.py", "sim/test_gpu_ready.py",
-    "sim/test_simulator_effects.py", "learn/test_identify.py", "learn/test_chapter5.py", "sim/test_simulator.py",
-    "kernels/test_effects.py", "learn/test_gap_joints.py", "learn/test_effect_plants.py",
+    "learn/gap/test_gap.py", "test_repository.py", "cli/test_diagnose_story.py", "cli/test_train_story.py",
+    "cli/test_identify_story.py", "learn/gap/test_gap_real.py", "learn/thesis/test_chapter3.py",
+    "sim/arms/test_contact_worlds.py", "sim/arms/test_contact.py", "cli/test_simulate_story.py",
+    "kernels/test_ptx.py", "sim/engine/test_gpu_ready.py", "sim/engine/test_simulator_effects.py",
+    "learn/inference/test_identify.py", "learn/thesis/test_chapter5.py", "sim/engine/test_simulator.py",
+    "kernels/effects/test_effects.py", "learn/gap/test_gap_joints.py", "learn/systems/test_effect_systems.py",
 )  # fmt: skip
 
 

@@ -19,9 +19,14 @@ except ModuleNotFoundError:  # Python 3.10; pytest brings tomli there
     import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("kernels", "sim", "perception", "learn")
+ROOMS = ("kernels", "sim", "perception", "learn", "cli")
 HEAVY = {"torch", "newton", "mujoco", "numpy", "rsl_rl"}  # what device code must not know
 PACKAGE = sorted(p for room in ROOMS for p in (ROOT / room).rglob("*.py")) + sorted(ROOT.glob("*.py"))
+TEMPLATES = ROOT / "learn" / "reports" / "templates"
+MODULES = {str(p.relative_to(ROOT).with_suffix("")) for p in PACKAGE}
+#: The rooms of the package, each below those it may import from: the README's table.
+ORDER = re.findall(r"^\| \[`([a-z0-9/]+)/`\]\(\1\) \|", (ROOT / "README.md").read_text(), re.MULTILINE)
+TEST_FOLDERS = sorted({str(p.parent.relative_to(ROOT / "tests")) for p in (ROOT / "tests").rglob("*.py")})
 SOURCES = PACKAGE + sorted(p for room in ("tests", "benchmarks") for p in (ROOT / room).rglob("*.py"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -44,7 +49,7 @@ def name_of(path: Path) -> str:
 def wheel(tmp_path_factory) -> zipfile.ZipFile:
     """Build the wheel from a copy of the sources, so that nothing is left in the repository."""
     copy = tmp_path_factory.mktemp("copy")
-    for path in [*PACKAGE, *(ROOT / "learn" / "templates").iterdir()]:
+    for path in [*PACKAGE, *TEMPLATES.iterdir()]:
         (copy / path.relative_to(ROOT)).parent.mkdir(parents=True, exist_ok=True)
         (copy / path.relative_to(ROOT)).write_bytes(path.read_bytes())
     for name in ("pyproject.toml", "README.md", "LICENSE", "py.typed"):
@@ -61,14 +66,14 @@ def test_wheel_holds_the_package(wheel):
     """Hold every module, the type marker and the templates under ``bough/``, and no test."""
     names = {n for n in wheel.namelist() if ".dist-info/" not in n}
     expected = {f"bough/{name_of(p)}" for p in PACKAGE}
-    expected |= {"bough/py.typed"} | {f"bough/learn/templates/{p.name}" for p in (ROOT / "learn/templates").iterdir()}
+    expected |= {"bough/py.typed"} | {f"bough/learn/reports/templates/{p.name}" for p in TEMPLATES.iterdir()}
     assert names == expected
 
 
 def test_wheel_installs_the_command_and_the_licence(wheel):
-    """Install ``bough`` as a command that calls `cli.main`, with the licence beside it."""
+    """Install ``bough`` as a command that calls `cli.main.main`, with the licence beside it."""
     info = next(n for n in wheel.namelist() if n.endswith("entry_points.txt")).rsplit("/", 1)[0]
-    assert "bough = bough.cli:main" in wheel.read(f"{info}/entry_points.txt").decode()
+    assert "bough = bough.cli.main:main" in wheel.read(f"{info}/entry_points.txt").decode()
     assert b"Apache License" in wheel.read(f"{info}/licenses/LICENSE")
     metadata = Parser().parsestr(wheel.read(f"{info}/METADATA").decode())
     assert metadata["Requires-Python"] == ">=3.10"
@@ -81,7 +86,7 @@ def test_wheel_imports_without_the_repository(wheel, tmp_path):
         "import sys\n"
         "sys.meta_path[:] = [f for f in sys.meta_path if 'editable' not in getattr(f, '__module__', str(f))]\n"
         f"sys.path.insert(0, {str(tmp_path)!r})\n"
-        "import bough, bough.cli, bough.sim.simulator, bough.learn.case, bough.perception\n"
+        "import bough, bough.cli, bough.sim.engine.simulator, bough.learn.cases.case, bough.perception\n"
         f"assert bough.__file__.startswith({str(tmp_path)!r}), bough.__file__\n"
         "assert 'sim' not in sys.modules and 'kernels' not in sys.modules\n"
     )
@@ -169,22 +174,86 @@ def test_file_is_short(path):
     assert len(path.read_text().splitlines()) <= 600
 
 
-@pytest.mark.parametrize("path", [pytest.param(p, id=name_of(p)) for p in PACKAGE if p.parent != ROOT])
-def test_imports_run_one_way(path):
-    """Import only from the same room or those before it, and in device code nothing but Warp."""
-    parts = path.relative_to(ROOT).parts
-    room = ROOMS.index(parts[0])
+def room_of(module: str) -> str | None:
+    """Return the room that a module or package (path from the root, no suffix) lies in; None above the rooms."""
+    found = [room for room in ORDER if module == room or module.startswith(f"{room}/")]
+    return max(found, key=len, default=None)
+
+
+def imports(path: Path):
+    """Yield (line, module path) of each import inside the package, those within functions too."""
+    package = path.relative_to(ROOT).parts[:-1]
     for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.level == len(parts):
-            names = [node.module] if node.module else [alias.name for alias in node.names]
-            for name in (n.split(".")[0] for n in names):
-                assert name not in ROOMS or ROOMS.index(name) <= room, f"line {node.lineno} imports {name}"
-                assert name != "cli", f"line {node.lineno} imports the command line"
-        elif isinstance(node, ast.Import | ast.ImportFrom) and not getattr(node, "level", 0):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = [*package[: len(package) - node.level + 1], *(node.module.split(".") if node.module else [])]
+            for alias in node.names:
+                full = "/".join([*base, alias.name])
+                yield node.lineno, full if full in MODULES else "/".join(base)
+
+
+def test_rooms_of_the_table_are_those_of_the_repository():
+    """List each folder that holds modules in the README's table, and no other."""
+    folders = {name_of(p.parent) for p in PACKAGE if p.parent != ROOT and p.name != "__init__.py"}
+    assert {room_of(f) for f in folders} == set(ORDER) and set(folders) == set(ORDER)
+
+
+@pytest.mark.parametrize("path", [pytest.param(p, id=name_of(p)) for p in PACKAGE if p.parent != ROOT])
+def test_imports_run_down(path):
+    """Import only from rooms above in the README's table, as the room's ``__init__`` says, and from the version."""
+    here = room_of(name_of(path.parent))
+    if here is None:
+        assert not list(imports(path)), "a package of rooms imports nothing"
+        return
+    stated = (ROOT / here / "__init__.py").read_text()
+    for line, module in imports(path):
+        there = room_of(module)
+        if there in (here, None):
+            assert there or module == "version", f"line {line} imports {module}"
+            continue
+        assert ORDER.index(there) < ORDER.index(here), f"line {line}: {here} imports {there}, which stands below it"
+        assert f"`{there.replace('/', '.')}`" in stated, f"{here}/__init__.py does not say that it uses {there}"
+
+
+def test_init_of_rooms_name_what_they_use():
+    """State in each room's ``__init__`` only rooms that a file in it imports."""
+    for room in ORDER:
+        used = {room_of(m) for p in PACKAGE if name_of(p.parent) == room for _, m in imports(p)}
+        stated = re.search(r"^Uses: (.*?)\.$", (ROOT / room / "__init__.py").read_text(), re.MULTILINE | re.DOTALL)
+        assert stated, room
+        assert set(re.findall(r"`([a-z0-9.]+)`", stated[1])) <= {r.replace("/", ".") for r in used if r}, room
+
+
+def test_no_import_runs_in_a_circle():
+    """Find no module that imports itself through others, function-level imports counted."""
+    edges = {name_of(p.with_suffix("")).removesuffix("/__init__"): {m for _, m in imports(p)} for p in PACKAGE}
+    done: set[str] = set()
+
+    def visit(module: str, path: tuple[str, ...]) -> None:
+        assert module not in path, " -> ".join([*path[path.index(module) :], module])
+        if module not in done:
+            for target in edges.get(module, set()) - {module}:
+                visit(target, (*path, module))
+            done.add(module)
+
+    for module in edges:
+        visit(module, ())
+
+
+@pytest.mark.parametrize("room", [*ORDER, *(f"tests/{p}" for p in TEST_FOLDERS)])
+def test_folder_is_small(room):
+    """Keep folders at twenty files or fewer, the folder of laws (one file each) aside."""
+    assert room == "sim/effects" or len(list((ROOT / room).glob("*.py"))) <= 20
+
+
+@pytest.mark.parametrize("path", [pytest.param(p, id=name_of(p)) for p in PACKAGE])
+def test_packages_that_are_imported(path):
+    """Import the package relatively, nothing private of Newton's, and in device code nothing but Warp."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import | ast.ImportFrom) and not getattr(node, "level", 0):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
             heads = {n.split(".")[0] for n in names}
             assert "bough" not in heads, f"line {node.lineno}: imports inside the package are relative"
-            assert room > 0 or not heads & HEAVY, f"line {node.lineno}: kernels import {heads}"
+            assert not name_of(path).startswith("kernels/") or not heads & HEAVY, f"line {node.lineno}: {heads}"
             assert not any(n.startswith("newton._src") for n in names), f"line {node.lineno}: a private Newton name"
 
 

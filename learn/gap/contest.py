@@ -17,13 +17,14 @@ from dataclasses import dataclass
 
 import torch
 
-from ...sim.tree import Array
-from ..case import BranchCase, JointCase
-from ..equation_error import simulation_of
-from ..input_noise import Colour
-from ..plant import box_of, values_of
-from ..plant_branch import Unknowns
-from ..rollout import Recording, Rollout
+from ...sim.base.types import Array
+from ..cases.case import BranchCase, JointCase
+from ..replay.equation_error import simulation_of
+from ..replay.input_noise import Colour
+from ..replay.recording import Recording
+from ..replay.rollout import Rollout
+from ..systems.branch import Unknowns
+from ..systems.system import box_of, values_of
 from .candidates import Candidate, everywhere
 
 #: Sets of parameters in one launch; what is left over runs in launches of the second size.
@@ -78,9 +79,9 @@ class Contest:
         device: Warp device.
 
     Attributes:
-        parameters: All n parameters: the plant's own, then those of every candidate.
+        parameters: All n parameters: the system's own, then those of every candidate.
         settings: What is known of every joint.
-        num_base: How many are the plant's own.
+        num_base: How many are the system's own.
         candidates: Every effect at every place.
         low, high: Box of the free coordinates, shape [n].
         centre, spread: Prior of the free coordinates, normal, shape [n].
@@ -104,11 +105,11 @@ class Contest:
         self.unknowns = Unknowns(effects=everywhere(case, names))
         self._rollouts: dict[int, Rollout] = {}
         first = self._rollout(SMALL)
-        plant = first.plant
+        system = first.system
         self.place = first.torch_device
-        self.parameters = plant.parameters
-        self.settings = plant.acting.settings
-        self.num_base = len(self.parameters) - len(plant.acting.parameters)
+        self.parameters = system.parameters
+        self.settings = system.acting.settings
+        self.num_base = len(self.parameters) - len(system.acting.parameters)
         self.candidates = self._candidates()
         low, high = box_of(self.parameters)
         self.low, self.high = low.to(self.place), high.to(self.place)
@@ -138,11 +139,11 @@ class Contest:
         return self._rollouts[size]
 
     def _candidates(self) -> list[Candidate]:
-        plant = self._rollout(SMALL).plant
+        system = self._rollout(SMALL).system
         out: list[Candidate] = []
         column = self.num_base
-        for acting in plant.acting.acting:
-            specs = plant.acting.laws[acting.name].parameters
+        for acting in system.acting.acting:
+            specs = system.acting.laws[acting.name].parameters
             out.append(Candidate(acting, tuple(range(column, column + len(specs))), specs))
             column += len(specs)
         off = [spec.neutral for candidate in out for spec in candidate.specs]

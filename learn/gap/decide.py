@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...sim.effects import effect_of
-from ..case import BranchCase, JointCase
-from ..equation_error import fits_torque
+from ..cases.case import BranchCase, JointCase
+from ..replay.equation_error import fits_torque
 from .contest import Contest
 from .search import Model, overdispersion, penalty
 

@@ -10,26 +10,26 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ... import __version__
-from ...sim.errors import InputError
-from ...sim.files import output_folder
-from ...sim.tree import Array
-from ..acting import Acting
-from ..case import BranchCase, JointCase, load_case
-from ..checkpoint import Checkpoint, digest
-from ..equation_error import recordings_of
-from ..fit import Modes, climb_until_settled, precision_at
-from ..identify import split
-from ..identify_report import unit_of
-from ..identify_settings import default_iterations
-from ..input_noise import Colour
-from ..model_file import BranchModel, write_model
-from ..plant import Parameter
-from ..plant_branch import Unknowns
-from ..posterior import Posterior, sample
-from ..predict import START_WINDOW, first_moments, main_channels
-from ..target import Target
-from ..threads import one_thread
+from ...sim.base.errors import InputError
+from ...sim.base.files import output_folder
+from ...sim.base.types import Array
+from ...version import __version__
+from ..cases.case import BranchCase, JointCase, load_case
+from ..inference.fit import Modes, climb_until_settled, precision_at
+from ..inference.identify import split
+from ..inference.posterior import Posterior, sample
+from ..inference.predict import START_WINDOW, first_moments, main_channels
+from ..inference.report import unit_of
+from ..inference.settings import default_iterations
+from ..inference.target import Target
+from ..replay.equation_error import recordings_of
+from ..replay.input_noise import Colour
+from ..runs.checkpoint import Checkpoint, digest
+from ..runs.threads import one_thread
+from ..systems.acting import Acting
+from ..systems.branch import Unknowns
+from ..systems.model_file import BranchModel, write_model
+from ..systems.system import Parameter
 from .candidates import names_for
 from .contest import Contest, Rows
 from .decide import ALARM, Field, alternatives, chosen, known, lacks_fit, leading, needs_more, size

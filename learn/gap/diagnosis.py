@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
-from ...sim.errors import InputError
-from ...sim.tree import Array
-from ..case import BranchCase, JointCase
+from ...sim.base.errors import InputError
+from ...sim.base.types import Array
+from ..cases.case import BranchCase, JointCase
 from . import TOLERANCE
 
 if TYPE_CHECKING:
-    from ..acting import Acting
-    from ..posterior import Posterior
-    from ..rollout import Recording
+    from ..inference.posterior import Posterior
+    from ..replay.recording import Recording
+    from ..systems.acting import Acting
 
 VerdictName = Literal["none", "effects", "unknown"]
 

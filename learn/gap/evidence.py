@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from scipy.stats import chi2
 
-from ...sim.tree import Array
-from ..case import BranchCase
-from ..rollout import Rollout
+from ...sim.base.types import Array
+from ..cases.case import BranchCase
+from ..replay.rollout import Rollout
 from .contest import Contest, Rows
 from .refit import Fits, fit
 from .scan import Scan

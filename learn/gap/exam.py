@@ -13,11 +13,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.progress import Progress
 
-from ...sim.errors import InputError
-from ..case import load_case
-from ..figures import png
+from ...sim.base.errors import InputError
+from ..cases.case import load_case
 from ..hidden import NAMES, Spec, exam_plan, hide
-from ..threads import one_thread
+from ..reports.figures import png
+from ..runs.threads import one_thread
 from .diagnose import Diagnoser, Settings
 
 #: Wanted at 1, 3 and 5 % noise (issue's table): (criterion, bounds, whether more is better).
@@ -37,7 +37,7 @@ LEVELS = (0.01, 0.03, 0.05)
 
 
 def hold(out: Path, *, cases: int, noise: float, seed: int, jobs: int) -> str:
-    """Hold an exam and return its table; see `command_diagnose.Exam`.
+    """Hold an exam and return its table; see `cli.diagnose.Exam`.
 
     Raises:
         InputError: A number cannot be.

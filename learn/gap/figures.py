@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
-from ...sim.tree import Array
-from ..figures import ALARM, FAINT, MEASURED, MODEL, NOISE, WIDTH, styled
+from ...sim.base.types import Array
+from ..reports.figures import ALARM, FAINT, MEASURED, MODEL, NOISE, WIDTH, styled
 from .decide import TIED
 from .diagnosis import Share
 from .where import CONTRAST

@@ -15,8 +15,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from ..case import BranchCase
-from ..rollout import Recording, Rollout
+from ..cases.case import BranchCase
+from ..replay.recording import Recording
+from ..replay.rollout import Rollout
 from .candidates import Candidate, Probe
 from .contest import Contest
 from .scan import Basis

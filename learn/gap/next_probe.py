@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ...sim.tree import Array
-from ..case import BranchCase
-from ..rollout import Recording
+from ...sim.base.types import Array
+from ..cases.case import BranchCase
+from ..replay.recording import Recording
 from .contest import Contest, Rows
 from .decide import Field, probe_for
 from .refit import normal_equations

@@ -9,13 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from ... import __version__
+from ...sim.base.host import describe
+from ...sim.base.types import Array
 from ...sim.effects import effect_of
-from ...sim.host import describe
-from ...sim.tree import Array
-from ..case import BranchCase, JointCase
-from ..predict import main_channels
-from ..report import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number, write_report
+from ...version import __version__
+from ..cases.case import BranchCase, JointCase
+from ..inference.predict import main_channels
+from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number, write_report
 from .decide import ALARM as CHANCE
 from .decide import TIED
 from .diagnosis import Diagnosis, Rival

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ...sim.tree import Array
-from ..case import BranchCase, JointCase
-from ..equation_error import noise_of, recordings_of, thinned
-from ..fit import find_modes
-from ..identify import force_noise, pooled_sigma
-from ..input_noise import input_colour
-from ..posterior import initial_vectors
-from ..rollout import Rollout
-from ..target import Target
+from ...sim.base.types import Array
+from ..cases.case import BranchCase, JointCase
+from ..inference.fit import find_modes
+from ..inference.identify import force_noise, pooled_sigma
+from ..inference.posterior import initial_vectors
+from ..inference.target import Target
+from ..replay.equation_error import noise_of, recordings_of, thinned
+from ..replay.input_noise import input_colour
+from ..replay.rollout import Rollout
 from .at_rest import Noise, noise_at_rest
 from .contest import Contest, Rows
 from .refit import Fits, evaluated, fit

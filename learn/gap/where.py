@@ -16,10 +16,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...sim.tree import Array
-from ..case import BranchCase, JointCase
-from ..equation_error import fits_torque
-from ..rollout import Recording
+from ...sim.base.types import Array
+from ..cases.case import BranchCase, JointCase
+from ..replay.equation_error import fits_torque
+from ..replay.recording import Recording
 from .contest import Contest
 from .diagnosis import Share, Where
 

@@ -2,6 +2,8 @@
 
 C MuJoCo with three times as many links as any model that is fitted. Nothing of ``bough.sim.effects`` or of the kernels
 is imported; ``docs/hide.md`` states every law.
+
+Uses: `sim.base`.
 """
 
 from .exam import Spec, exam_plan

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...sim.errors import InputError
+from ...sim.base.errors import InputError
 from .drive import drive
 from .names import NAMES, OUTSIDE, RECIPES, equivalents
 from .parts import Part, Readings, Scale

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ...sim.errors import InputError
-from ...sim.files import output_folder
+from ...sim.base.errors import InputError
+from ...sim.base.files import output_folder
 from .branch import TRUNK_PIVOT, Array, Branch, random_branch, unit
 from .drive import Motion, drive
 from .parts import Readings

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...sim.errors import InputError
+from ...sim.base.errors import InputError
 from .branch import TRUNK_PIVOT, Array, Branch, frustum_mass, unit
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 import warp as wp
 
-from ...sim.arm_simulator import ArmSimulator
+from ...sim.arms.simulator import ArmSimulator
 
 
 def simulator_tensors(sim: ArmSimulator) -> dict[str, torch.Tensor]:

@@ -7,11 +7,11 @@ import torch
 import warp as wp
 from numpy.typing import NDArray
 
-from ...sim.arm_simulator import ArmSimulator
-from ...sim.export_mesh import capsules_mesh, level_color
-from ...sim.render import Mesh, Sunlight, View, develop, trace
-from ...sim.scene import Scene
-from ...sim.tree import Array
+from ...sim.arms.simulator import ArmSimulator
+from ...sim.base.types import Array
+from ...sim.formats.export_mesh import capsules_mesh, level_color
+from ...sim.pictures.render import Mesh, Sunlight, View, develop, trace
+from ...sim.scenes.scene import Scene
 
 WIDTH, HEIGHT, SAMPLES = 480, 360, 12
 ARM, LINE = (0.75, 0.75, 0.78), (0.70, 0.10, 0.08)

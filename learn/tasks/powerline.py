@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
-from ...kernels import task as kernels
+from ...kernels.tasks import clearing as kernels
 from ...perception.sensor import Sensor
-from ...sim.arm import Arm
-from ...sim.arm_simulator import ArmSimulator, Contacts
-from ...sim.errors import InputError
-from ...sim.jaco2 import jaco2
-from ...sim.scene import Axes, Scene, grow_trees, seed_sequence, share_trees
-from ...sim.thread_pool import Launches
-from ...sim.wood_effects import give_effects, names_of
-from ..task import METRICS
+from ...sim.arms.arm import Arm
+from ...sim.arms.jaco2 import jaco2
+from ...sim.arms.simulator import ArmSimulator, Contacts
+from ...sim.base.errors import InputError
+from ...sim.base.thread_pool import Launches
+from ...sim.scenes.scene import Axes, Scene, grow_trees, seed_sequence, share_trees
+from ...sim.wood.effects import give_effects, names_of
 from .memory import copies, put_back, simulator_tensors
 from .settings import TaskSettings, columns_of
+from .task import METRICS
 
 _COUNTERS = (
     "length", "age", "episode", "clock", "streak", "clear", "breaches", "succeeded", "lost", "action_delay",

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from ...perception.sensor import SensorSettings
-from ...sim.errors import InputError
-from ...sim.posterior_stiffness import Wood
-from ...sim.scene import Range, SceneSettings, Target
-from ...sim.wood_effects import WoodEffects
+from ...sim.base.errors import InputError
+from ...sim.scenes.scene import Range, SceneSettings, Target
+from ...sim.wood.effects import WoodEffects
+from ...sim.wood.posterior import Wood
 
 TARGETS = {
     "powerline": Target(),

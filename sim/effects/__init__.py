@@ -1,4 +1,7 @@
-"""Effects that have a name, one file each; importing a file registers its effect."""
+"""Effects that have a name, one file each; importing a file registers its effect.
+
+Uses: `kernels.lanes`, `kernels.effects`, `sim.base`.
+"""
 
 from importlib import import_module
 

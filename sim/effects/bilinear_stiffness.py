@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, sub
-from ...kernels.real import cos_root, fma, real, sin_ratio, sqrt_, where_neg
+from ...kernels.lanes.algebra import add, div, dot, mul, sub
+from ...kernels.lanes.real import cos_root, fma, real, sin_ratio, sqrt_, where_neg
 from .registry import Effect, EffectParameter, Law, axis_parameter, register
 
 #: Half-width of the change of slope at zero in a branch [rad].

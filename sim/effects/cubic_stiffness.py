@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, sub
-from ...kernels.real import real, where_neg
+from ...kernels.lanes.algebra import add, div, dot, mul, sub
+from ...kernels.lanes.real import real, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
 

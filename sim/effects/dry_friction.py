@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, mul, norm, sub
-from ...kernels.real import fma, real, where_neg
+from ...kernels.lanes.algebra import add, div, mul, norm, sub
+from ...kernels.lanes.real import fma, real, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
 #: Least angle over which asperities bend before they slip in a branch [rad].

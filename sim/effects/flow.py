@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, sub
-from ...kernels.real import fma, real
+from ...kernels.lanes.algebra import add, div, dot, mul, sub
+from ...kernels.lanes.real import fma, real
 from .registry import EffectParameter
 
 #: Share of a flow that counts only as far as it is across a segment (cross-flow principle).

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, mul, sub
+from ...kernels.lanes.algebra import add, div, mul, sub
 from .registry import Effect, EffectParameter, Law, register
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, mul, rotate, sub, unrotate
+from ...kernels.lanes.algebra import add, div, mul, rotate, sub, unrotate
 from .registry import Effect, EffectParameter, Law, register
 
 

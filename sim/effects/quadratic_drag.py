@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, dot, mul, rotate, size, sub, unrotate
-from ...kernels.real import real, sqrt_
+from ...kernels.lanes.algebra import add, div, dot, mul, rotate, size, sub, unrotate
+from ...kernels.lanes.real import real, sqrt_
 from .flow import ACROSS, across
 from .registry import Effect, EffectParameter, Law, register
 

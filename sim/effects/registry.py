@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from ...kernels.effects import PARAMETERS, Term
-from ..errors import InputError
+from ...kernels.effects.terms import PARAMETERS, Term
+from ..base.errors import InputError
 
 Kind = Literal["joint", "link", "force", "time_delay", "grasp_slip", "tip_mass", "base_compliance"]
 Form = Literal["branch", "joint"]
@@ -113,11 +113,11 @@ class Law:
     """How an effect acts in one form of case.
 
     Attributes:
-        kind: ``joint``, ``link`` or ``force`` for a law (`kernels.effects`), else what the replay carries out itself.
+        kind: ``joint``, ``link`` or ``force`` for a law (`kernels.effects.terms`), else what the replay does itself.
         parameters: In the order of the law's ``p.a``, ``p.b``, ...
         law: Device function of the three kinds.
         per_joint: Whether every joint has its own.
-        memory, persistent: See `kernels.effects.Term`.
+        memory, persistent: See `kernels.effects.terms.Term`.
         settles: Whether a branch is at rest elsewhere than in its given pose while the effect acts.
     """
 

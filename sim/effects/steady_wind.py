@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, mul, norm, sub
-from ...kernels.real import real
+from ...kernels.lanes.algebra import add, div, mul, norm, sub
+from ...kernels.lanes.real import real
 from .flow import ACROSS, across
 from .registry import Effect, EffectParameter, Law, register
 

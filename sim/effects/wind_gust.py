@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.algebra import add, div, mul, sub
-from ...kernels.real import cos_root, fma, fnma, real, round_, sin_ratio
+from ...kernels.lanes.algebra import add, div, mul, sub
+from ...kernels.lanes.real import cos_root, fma, fnma, real, round_, sin_ratio
 from .flow import ACROSS
 from .registry import Effect, EffectParameter, Law, register
 from .steady_wind import pressed

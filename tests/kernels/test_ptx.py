@@ -4,17 +4,17 @@ import re
 
 import pytest
 import warp as wp
-from bough.kernels.effects_inverse import effect_efforts_kernel
-from bough.kernels.effects_rollout import effect_rollout_kernels
-from bough.kernels.inverse import inverse_kernels
-from bough.kernels.observe import energy_kernel, pose_kernel, probe_kernel
-from bough.kernels.reset import reset_kernels
-from bough.kernels.rollout import rollout_kernels
-from bough.kernels.stability import damping_kernel
-from bough.kernels.step import step_kernels
-from bough.kernels.terms.step import term_kernels
+from bough.kernels.effects.inverse import effect_efforts_kernel
+from bough.kernels.effects.rollout import effect_rollout_kernels
+from bough.kernels.effects.step import term_kernels
+from bough.kernels.tree.inverse import inverse_kernels
+from bough.kernels.tree.observe import energy_kernel, pose_kernel, probe_kernel
+from bough.kernels.tree.reset import reset_kernels
+from bough.kernels.tree.rollout import rollout_kernels
+from bough.kernels.tree.stability import damping_kernel
+from bough.kernels.tree.step import step_kernels
 from bough.sim.effects import terms_of
-from bough.sim.forest_effects import forest_terms
+from bough.sim.engine.forest_effects import forest_terms
 
 
 def some(form):

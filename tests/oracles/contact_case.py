@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from bough.sim.arm import Arm, forward_kinematics
-from bough.sim.arm_arrays import arm_capsules
-from bough.sim.arm_simulator import ArmSimulator, Contacts
-from bough.sim.jaco2 import jaco2
-from bough.sim.tree import Joint, Tree, capsule_inertia
+from bough.sim.arms.arm import Arm, forward_kinematics
+from bough.sim.arms.arrays import arm_capsules
+from bough.sim.arms.jaco2 import jaco2
+from bough.sim.arms.simulator import ArmSimulator, Contacts
+from bough.sim.trees.tree import Joint, Tree, capsule_inertia
 from scipy.spatial.transform import Rotation
 
 DT = 1.0 / 240.0
@@ -117,7 +117,7 @@ def drive(sim, seconds: float, target, read=lambda sim: sim.q[0].numpy().copy(),
 
 
 def contacts_of(sim: ArmSimulator, world: int = 0) -> np.ndarray:
-    """Contacts of a world in the last substep, a structured array of `kernels.contact.Contact`."""
+    """Contacts of a world in the last substep, a structured array of `kernels.contact.law.Contact`."""
     return sim._touch.record.numpy()[world, : int(sim._touch.count[world])]
 
 

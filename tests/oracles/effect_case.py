@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import torch
 import yaml
-from bough.learn.acting import Acting
-from bough.learn.case import load_case
-from bough.learn.plant_branch import Unknowns
-from bough.learn.rollout import Rollout, recordings
+from bough.learn.cases.case import load_case
+from bough.learn.replay.recording import recordings
+from bough.learn.replay.rollout import Rollout
+from bough.learn.systems.acting import Acting
+from bough.learn.systems.branch import Unknowns
 from bough.sim.effects import effects
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
@@ -73,7 +74,7 @@ def simulate(case, stiffness, damping, *, start=None, chosen=None, form="joint",
     acting = tuple(Acting(e.name, 0 if e.law(form).per_joint else None) for e in rows)
     picked = recordings(case) if chosen is None else chosen
     rollout = Rollout(case, picked, 1, unknowns=Unknowns(effects=acting))
-    offsets = sum(p.name.startswith("offset ") for p in rollout.plant.parameters)
+    offsets = sum(p.name.startswith("offset ") for p in rollout.system.parameters)
     values = [*np.atleast_1d(stiffness), *np.atleast_1d(damping), *[0.0] * offsets]
     for effect in rows:
         given = dict(on.get(effect.name, {}))

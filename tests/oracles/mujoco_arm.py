@@ -10,9 +10,9 @@ import xml.etree.ElementTree as ET
 
 import mujoco
 import numpy as np
-from bough.sim.arm import Arm
-from bough.sim.export_mjcf import numbers, to_mjcf
-from bough.sim.tree import Tree
+from bough.sim.arms.arm import Arm
+from bough.sim.formats.export_mjcf import numbers, to_mjcf
+from bough.sim.trees.tree import Tree
 
 DT = 1.0 / 240.0
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from bough.sim.export_mjcf import to_mjcf
-from bough.sim.tree import Joint, Tree
+from bough.sim.formats.export_mjcf import to_mjcf
+from bough.sim.trees.tree import Joint, Tree
 
 OFF = (
     mujoco.mjtDisableBit.mjDSBL_CONTACT

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from bough.sim.tree import Joint, Tree, capsule_inertia
+from bough.sim.trees.tree import Joint, Tree, capsule_inertia
 from scipy.spatial.transform import Rotation
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from bough.learn.task import TaskRegistry
+from bough.learn.tasks.registry import TaskRegistry
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 

@@ -14,8 +14,8 @@ import tyro
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bough.learn.command_train import Train
-from bough.learn.ppo_settings import PRESETS
+from bough.cli.train import Train
+from bough.learn.policies.ppo_settings import PRESETS
 from oracles.reach_task import registry
 
 TINY = replace(PRESETS["cpu"], num_envs=8, horizon=8, hidden=(16,), checkpoint_every=2)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import warp as wp
-from bough.kernels.effects import PARAMETERS, effect_types
+from bough.kernels.effects.terms import PARAMETERS, effect_types
 
 _T = effect_types(1, 32)
 _JointState, _Response, _Parameters, _Vec = _T.JointState, _T.Response, _T.Parameters, _T.Vec

@@ -7,7 +7,7 @@ import torch
 import warp as wp
 from bough.perception import embed, occlusion
 from bough.perception.frequencies import draw_frequencies
-from bough.sim.errors import InputError
+from bough.sim.base.errors import InputError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.point_scene import embedding, squared_distances, top_pairs_score

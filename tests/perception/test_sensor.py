@@ -3,17 +3,17 @@
 import re
 from types import SimpleNamespace
 
-import bough.sim.arrays as arrays
+import bough.sim.engine.arrays as arrays
 import numpy as np
 import pytest
 import torch
 import warp as wp
-from bough.kernels.embedding import embed_clouds_kernel
-from bough.kernels.nearest import finish_kernel, margin_kernel, nearest_kernel, occlusion_kernel
-from bough.kernels.point_cloud import sample_kernel
+from bough.kernels.points.cloud import sample_kernel
+from bough.kernels.points.embedding import embed_clouds_kernel
+from bough.kernels.points.nearest import finish_kernel, margin_kernel, nearest_kernel, occlusion_kernel
 from bough.perception import sensor as sensor_module
 from bough.perception.sensor import COLUMNS, Sensor, SensorSettings
-from bough.sim.errors import InputError
+from bough.sim.base.errors import InputError
 from oracles.point_scene import embedding, point_scene, squared_distances, top_pairs_score
 from scipy import stats
 

@@ -1,0 +1,97 @@
+"""``bough diagnose``: what the model of a measured case lacks; ``bough exam``: how often that answer is right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from ..learn.gap import TOLERANCE
+from ..sim.base.console import bars, shown, start_warp, warn
+from .exit_codes import ExitCode
+
+
+@dataclass(frozen=True)
+class Diagnose:
+    """Find where simulation and measurement disagree, name the missing effect, add it, show the gap shrink.
+
+    Writes verdict.json, model.yaml (branches), figures and report.html. Exit code 0: done, whatever the verdict; 2: bad
+    input, nothing written.
+
+    Attributes:
+        case: Case folder: meta.yaml and one CSV a trajectory.
+        out: Folder to write to.
+        effects: Names that may be tried; none given tries all that the case can show.
+        tolerance: Change of the motion, as a share of its rms, below which a missing effect is of no interest.
+        max_effects: Most effects that are named together.
+        seed: Seed of everything random.
+        resume: Go on with a killed run of the same case, settings and --out.
+    """
+
+    case: tyro.conf.Positional[Path]
+    out: Path
+    effects: tuple[str, ...] = ()
+    tolerance: float = TOLERANCE
+    max_effects: int = 2
+    seed: int = 0
+    resume: bool = False
+
+    def run(self) -> int:
+        """Diagnose the case and say what came out and where the report is."""
+        from ..learn.cases.case import load_case
+        from ..learn.gap.diagnosis import Settings
+
+        names = tuple(n for entry in self.effects for n in entry.split(",") if n)
+        settings = Settings(names, self.tolerance, self.max_effects, self.seed)
+        settings.check()
+        case = load_case(self.case)
+        start_warp()
+        from ..learn.gap.diagnose import STAGES, diagnose  # torch and Warp, after what is quick to refuse
+
+        stages = {
+            "fitting the base": 1,
+            "looking at candidates": None,
+            "fitting candidates": None,
+            "weighing": 1,
+            "sampling": 24,
+        }
+        says = dict(zip(STAGES, stages, strict=True))
+        with bars(stages) as advance:
+            found = diagnose(
+                case, self.out, settings, resume=self.resume,
+                progress=lambda stage, done: advance(says[stage], done),
+            )  # fmt: skip
+        for line in case.warnings:
+            warn(line)
+        print(f"{found.sentence} Open {shown(self.out)}/report.html")
+        return ExitCode.DONE
+
+
+@dataclass(frozen=True)
+class Exam:
+    """Hide effects in branches of another simulator, diagnose them, grade the verdicts, draw the confusion matrix.
+
+    Writes results.jsonl (a line a case, appended: the same command goes on where it was stopped), exam.json,
+    confusion.png and exam.md.
+
+    Attributes:
+        out: Folder to write to.
+        cases: Number of cases: nothing hidden, one effect, two, or one that is on no list, as 3 : 3 : 1 : 1.
+        noise: Noise of displacement and velocity as a share of their rms; force has half of it.
+        seed: Seed of the cases.
+        jobs: Cases that run at the same time.
+    """
+
+    out: Path
+    cases: int = 104
+    noise: float = 0.03
+    seed: int = 0
+    jobs: int = 2
+
+    def run(self) -> int:
+        """Hold the exam and print its table."""
+        from ..learn.gap.exam import hold
+
+        print(hold(self.out, cases=self.cases, noise=self.noise, seed=self.seed, jobs=self.jobs))
+        return ExitCode.DONE

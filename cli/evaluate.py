@@ -1,0 +1,55 @@
+"""``bough evaluate``: how well a trained policy does in worlds it has never seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from ..learn.tasks.registry import TaskRegistry, builtin_tasks
+from ..learn.tasks.task import require_rsl_rl
+from ..sim.base.console import bar, shown, start_warp
+from .exit_codes import ExitCode
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Test a policy on unseen sets with all contacts on; print and write the columns of the thesis's table 5.2.
+
+    Writes evaluation.json and evaluation.md into the run. Exit code 0: done; 2: bad input, nothing written.
+
+    Attributes:
+        run_folder: Folder that bough train wrote.
+        sets: Test sets; the spread is over them.
+        worlds: Worlds of each set, one episode in each.
+        seed: Seed of the sets; whatever it is, no world of training is among them.
+        device: cpu, cuda or cuda:N; a GPU if there is one.
+        baselines: Policies to put beside it in the same worlds; the option without a name leaves them out.
+    """
+
+    run_folder: tyro.conf.Positional[Path]
+    sets: int = 3
+    worlds: int = 512
+    seed: int = 0
+    device: str | None = None
+    baselines: tuple[Literal["zero", "random"], ...] = ("zero", "random")
+
+    def run(self, registry: TaskRegistry | None = None) -> int:
+        """Evaluate, print the table and say where it is; return the exit code."""
+        require_rsl_rl()
+        start_warp()
+        registry = registry or builtin_tasks()
+        from ..learn.policies.evaluate import JSON, evaluate, table
+        from ..learn.runs.processes import Processes
+
+        device = Processes().device(self.device)
+        with bar("testing", self.sets * (1 + len(self.baselines))) as advance:
+            rows = evaluate(
+                self.run_folder, registry, sets=self.sets, worlds=self.worlds, seed=self.seed, device=device,
+                baselines=self.baselines, progress=advance,
+            )  # fmt: skip
+        print(table(rows))
+        print(f"Wrote {shown(self.run_folder / JSON)} and evaluation.md")
+        return ExitCode.DONE

@@ -1,0 +1,76 @@
+"""``bough info``: what is installed, what the machine offers, and whether a tree stands."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+
+from ..sim.base.console import bar, start_warp
+from .exit_codes import ExitCode
+
+_PACKAGES = ("warp-lang", "numpy", "torch", "newton")
+_EXTRAS = {"train": "rsl_rl", "taichi": "taichi", "usd": "pxr", "oracle": "mujoco"}
+
+
+@dataclass(frozen=True)
+class Info:
+    """Print versions, devices, vector lanes, cores, the kernel cache and extras, and let one small tree sway."""
+
+    def run(self) -> int:
+        """Print one line a fact; return 0, or 1 where the tree did not stay finite."""
+        start_warp()
+        for name, value in facts():
+            print(f"{name:<14}{value}")
+        with bar("self-check (the first run compiles kernels)", None):
+            well, report = self_check()
+        print(f"{'self-check':<14}{report}")
+        return ExitCode.DONE if well else ExitCode.FAILED
+
+
+def facts() -> Iterator[tuple[str, str]]:
+    """Yield (name, value) of everything worth knowing in a report of a fault."""
+    import warp as wp
+
+    from ..sim.base.host import describe
+    from ..version import __version__
+
+    host = describe()
+    yield "bough", f"{__version__} on Python {platform.python_version()}"
+    yield "packages", ", ".join(f"{name} {_version(name)}" for name in _PACKAGES)
+    yield "system", host["system"]
+    yield "processor", f"{host['cpu']}, {host['cores']} cores for this process"
+    yield "lanes", f"{host['lanes']} worlds a CPU thread (float32); 1 in float64"
+    yield "devices", ", ".join(f"{d.alias} ({d.name})" if d.is_cuda else d.alias for d in wp.get_devices())
+    yield "kernel cache", str(wp.config.kernel_cache_dir)
+    have = [name for name, module in _EXTRAS.items() if find_spec(module) is not None]
+    lack = [name for name in _EXTRAS if name not in have]
+    yield "extras", (", ".join(have) or "none") + (f" (not installed: {', '.join(lack)})" if lack else "")
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def self_check(steps: int = 20) -> tuple[bool, str]:
+    """Let a small tree sway for some steps; return whether it stayed finite, and a line that says so."""
+    from ..sim.engine.model import Model
+    from ..sim.engine.simulator import Simulator
+    from ..sim.trees.species import grow
+
+    simulator = Simulator(Model(grow("Ta", 1), precision=64))
+    simulator.step()  # compiled by now
+    begin = time.perf_counter()
+    for _ in range(steps):
+        simulator.step()
+    took = time.perf_counter() - begin
+    position, _ = simulator.observe()
+    well = not simulator.state.faults() and bool(position.isfinite().all())
+    verdict = f"{'passed' if well else 'FAILED'}: {position.shape[1]} links, {steps + 1} steps"
+    return well, f"{verdict} on {simulator.model.device}, {1e6 * took / steps:.0f} us a step"

@@ -1,0 +1,87 @@
+"""The command line: flat commands over the rooms, one line on what was written where.
+
+Exit codes: 0 done; 1 the machine failed (a full disk); 2 bad input, one line on stderr; 3 done, but every world left
+the finite or a sampler did not converge; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+
+from ..sim.base.console import warn
+from ..sim.base.errors import InputError
+from ..version import __version__
+from .diagnose import Diagnose, Exam
+from .evaluate import Evaluate
+from .exit_codes import ExitCode
+from .forest import Forest
+from .hide import Hide
+from .identify import Identify
+from .info import Info
+from .play import Play
+from .reproduce import Reproduce
+from .simulate import Simulate
+from .train import Train
+
+_DESCRIPTION = """Thousands of different trees in parallel, and the springs of a real one from a measurement.
+
+Units are SI (m, kg, s, rad, N), quaternions w x y z, z is up. Same command, same seed: same files.
+`bough COMMAND --help` explains a command, `bough --version` prints the version."""
+
+Command = (
+    Annotated[Info, tyro.conf.subcommand("info")]
+    | Annotated[Forest, tyro.conf.subcommand("forest")]
+    | Annotated[Simulate, tyro.conf.subcommand("simulate")]
+    | Annotated[Identify, tyro.conf.subcommand("identify")]
+    | Annotated[Hide, tyro.conf.subcommand("hide")]
+    | Annotated[Diagnose, tyro.conf.subcommand("diagnose")]
+    | Annotated[Exam, tyro.conf.subcommand("exam")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Play, tyro.conf.subcommand("play")]
+    | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code; see the head of this module.
+
+    Raises:
+        SystemExit: Help was asked for (0) or an option does not exist (2).
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given == ["--version"]:
+        print(f"bough {__version__}")
+        return ExitCode.DONE
+    warnings.showwarning = _show_warning
+    config = (tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone)
+    command: Command = tyro.cli(Command, args=given, prog="bough", description=_DESCRIPTION, config=config)
+    try:
+        return _run(command)
+    except InputError as error:
+        print(f"bough: {error}", file=sys.stderr)
+        return ExitCode.BAD_INPUT
+    except KeyboardInterrupt:
+        print("bough: interrupted; nothing was written", file=sys.stderr)
+        return ExitCode.INTERRUPTED
+    except OSError as error:  # what reading and writing did not foresee: a full disk, a folder closed to us
+        print(f"bough: {error.filename or command.__class__.__name__.lower()}: {error.strerror}", file=sys.stderr)
+        return ExitCode.BAD_INPUT if isinstance(error, PermissionError) else ExitCode.FAILED
+
+
+def _run(command: Command) -> int:
+    if isinstance(command, Simulate) and command.source.is_dir():
+        from .simulate_case import simulate_case
+
+        return simulate_case(command)
+    return command.run()
+
+
+def _show_warning(message: Warning | str, *_place: object, **_options: object) -> None:
+    """Print a Python warning as one line without the place in the code."""
+    warn(" ".join(str(message).split()))

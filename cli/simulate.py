@@ -1,0 +1,266 @@
+"""``bough simulate``: let the tree of a file move, and note where its bodies are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import tyro
+
+from ..sim.base.console import shown, start_warp, warn
+from ..sim.base.errors import InputError
+from ..sim.base.files import output_folder, read_text
+from ..sim.engine.stepping import Stepping
+from ..sim.formats.load import load_mechanism
+from .exit_codes import ExitCode
+
+if TYPE_CHECKING:
+    from ..sim.base.types import Array
+    from ..sim.engine.simulator import Simulator
+    from ..sim.engine.trajectory import Trajectory
+    from ..sim.formats.import_mjcf import Mechanism
+
+_ALLOWED = "an MJCF file (.xml, .mjcf), a URDF file (.urdf) or a case folder"
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Simulate the tree of an MJCF or URDF file, or a case's branch under its recorded forces.
+
+    Writes trajectory.npz (time [T], body_name [B], body_pos [T, W, B, 3], body_quat [T, W, B, 4]; the first time is the
+    start) and trajectory.png.
+
+    Attributes:
+        source: MJCF file (.xml), URDF file (.urdf) or case folder. A case's branch has nominal springs, those of beams
+            of green wood, and one world for each recording.
+        out: Folder to write to.
+        model: model.yaml with the springs, dampers and effects of a case's branch, instead of nominal springs.
+        seconds: How long; 2 s for a file, as long as the recordings for a case.
+        dt: Step [s]; there are round(seconds / dt) of them.
+        substeps: Equal parts that every step is taken in.
+        qpos: Where to start: joint coordinates in MuJoCo's order, as text (a row a world, or one for all) or .npy.
+        bend: Start with every joint turned at random, by this standard deviation [rad]; each world in its own way.
+        worlds: Number of copies of the tree; as many as the rows of --qpos, or 1.
+        precision: Bits of a number: 64 to compare with MuJoCo, 32 for speed.
+        device: Warp device, such as cpu or cuda:0; Warp's first choice if not given.
+        seed: Seed of --bend.
+        effect: An effect that acts in all worlds alike, NAME:PARAMETER=VALUE[,PARAMETER=VALUE...] in SI units, such as
+            dry_friction:torque_Nm=0.05; once for each effect. Laws at joints act at all of them, tip_mass at all tips.
+    """
+
+    source: tyro.conf.Positional[Path]
+    out: Path
+    model: Path | None = None
+    seconds: float | None = None
+    dt: float = 1.0 / 240.0
+    substeps: int = 1
+    qpos: Path | None = None
+    bend: float = 0.0
+    worlds: int | None = None
+    precision: Literal[32, 64] = 64
+    device: str | None = None
+    seed: int = 0
+    effect: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+
+    @property
+    def stepping(self) -> Stepping:
+        """How the worlds are stepped."""
+        return Stepping(self.dt, self.substeps, self.precision, self.device)
+
+    def run(self) -> int:
+        """Simulate a file, say what was written and return 0, or 3 where no world reached the end."""
+        trajectory = simulate_file(self)
+        return report(self, trajectory)
+
+
+def report(options: Simulate, trajectory: Trajectory) -> int:
+    """Print the last line of the command; return its exit code."""
+    worlds = trajectory.body_pos.shape[1]
+    frozen = int(sum(math.isfinite(t) for t in trajectory.frozen_time))
+    lost = f", {frozen} frozen" if frozen else ""
+    print(
+        f"{_count(worlds, 'world')} of {_count(len(trajectory.body_name), 'body', 'bodies')}{lost}, "
+        f"{trajectory.time[-1]:.4g} s in {len(trajectory.time) - 1} steps: "
+        f"{shown(options.out)}/trajectory.npz, trajectory.png"
+    )
+    return ExitCode.NOT_TRUSTED if frozen == worlds else ExitCode.DONE
+
+
+def _count(n: int, one: str, many: str = "") -> str:
+    return f"{n} {one if n == 1 else many or one + 's'}"
+
+
+def simulate_file(options: Simulate) -> Trajectory:
+    """Simulate the tree of an MJCF or URDF file and write the trajectory and its figure, whole or not at all.
+
+    Raises:
+        InputError: An option out of range, a file that cannot be read or simulated, a folder that cannot be written.
+    """
+    check(options)
+    if options.model is not None:
+        raise InputError("--model", "", str(options.model), "only with a case folder")
+    with output_folder(options.out) as folder:
+        mechanism = load_mechanism(options.source, _ALLOWED)
+        for line in mechanism.ignored:
+            warn(f"{options.source}: left out: {line}")
+        steps = options.stepping.steps(2.0 if options.seconds is None else options.seconds)
+        options.stepping.check_memory(steps, options.worlds or 1, mechanism.tree.num_links)
+        rows = start_rows(options, mechanism)
+        start_warp()
+        from ..sim.engine.prepare import make_simulator  # Warp, after what is quick to refuse
+        from .effect_option import read_effects
+
+        effects = read_effects(options.effect)
+        simulator = make_simulator(options.stepping, mechanism.tree, mechanism.gravity, len(rows), effects)
+        _set_start(options, simulator, rows)
+        advise(options, simulator)
+        from ..sim.engine.trajectory import record
+        from ..sim.pictures.figures import trajectory_figure
+
+        trajectory = record(simulator, steps)
+        trajectory.save(folder / "trajectory.npz")
+        trajectory_figure(mechanism.tree, trajectory).savefig(folder / "trajectory.png", dpi=150)
+    return trajectory
+
+
+def advise(options: Simulate, simulator: Simulator) -> None:
+    """Say in one line when springs are too stiff for the step, which damps fast motion (`kernels.tree.stability`)."""
+    held = simulator.implicit_worlds()
+    if held:
+        step = simulator.dt / simulator.substeps
+        warn(
+            f"{options.source}: {_count(held, 'world')}: a step of {step:.2g} s does not resolve the stiffest springs; "
+            "their fast motion is damped, the equilibrium stays; --substeps resolves more"
+        )
+
+
+def check(options: Simulate) -> None:
+    """Raise `InputError` for an option out of range."""
+
+    def need(ok: bool, option: str, found: object, allowed: str) -> None:
+        if not ok:
+            raise InputError(option, "", str(found), allowed)
+
+    def positive(x: float | None) -> bool:
+        return x is None or (math.isfinite(x) and x > 0)
+
+    need(positive(options.seconds), "--seconds", options.seconds, "a time above 0")
+    need(positive(options.dt), "--dt", options.dt, "a time above 0")
+    need(options.substeps >= 1, "--substeps", options.substeps, "1 or more")
+    need(options.worlds is None or options.worlds >= 1, "--worlds", options.worlds, "1 or more")
+    need(0.0 <= options.bend <= math.pi, "--bend", options.bend, "0 to pi")
+    need(options.seed >= 0, "--seed", options.seed, "0 or more")
+    need(options.qpos is None or options.bend == 0.0, "--bend", f"{options.bend:g} and --qpos", "one of the two")
+
+
+# ---- the start ---------------------------------------------------------------------------------------------------
+
+
+def start_rows(options: Simulate, mechanism: Mechanism) -> Array:
+    """Return the start of every world in MuJoCo's order, shape [W, nq].
+
+    Raises:
+        InputError: The file of --qpos cannot be read, or does not fit the tree or --worlds.
+    """
+    import numpy as np
+
+    if options.qpos is None:
+        rows = _bent(options, mechanism) if options.bend else mechanism.qpos0[None]
+    else:
+        rows = read_qpos(options.qpos, mechanism.tree.num_coordinates)
+    worlds = len(rows) if options.worlds is None else options.worlds
+    if len(rows) not in (1, worlds):
+        raise InputError(options.qpos or "--qpos", "", f"{len(rows)} rows", f"1, or --worlds {worlds}")
+    return np.broadcast_to(rows, (worlds, rows.shape[1]))
+
+
+def _bent(options: Simulate, mechanism: Mechanism) -> Array:
+    """Turn every joint of every world's start by a normally distributed angle, ball joints about a random axis."""
+    import numpy as np
+
+    from ..sim.base.rotation import axis_angle_quat, quat_multiply
+    from ..sim.trees.pose import coordinate_start
+    from ..sim.trees.tree import Joint
+
+    tree, rows = mechanism.tree, np.tile(mechanism.qpos0, (options.worlds or 1, 1))
+    first = coordinate_start(tree)
+    ball, hinge = (np.flatnonzero(tree.joint == kind) for kind in (Joint.SPHERICAL, Joint.REVOLUTE))
+    for world, row in enumerate(rows):
+        rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(world,)))
+        axis = rng.standard_normal((tree.num_links, 3))
+        axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+        angle = options.bend * rng.standard_normal(tree.num_links)
+        row[first[hinge]] += angle[hinge]
+        entries = first[ball, None] + np.arange(4)
+        row[entries] = quat_multiply(row[entries], axis_angle_quat(axis[ball], angle[ball]))
+    return rows
+
+
+def read_qpos(path: Path, width: int) -> Array:
+    """Read joint coordinates: ``.npy`` of shape [nq] or [W, nq], or text with a row a line (# starts a comment).
+
+    Text may also hold one number a line, for one world.
+
+    Args:
+        path: The file.
+        width: Numbers a row, nq.
+
+    Returns:
+        Shape [W, nq].
+
+    Raises:
+        InputError: The file cannot be read; names the row that has another length or no finite number.
+    """
+    import numpy as np
+
+    rows = _npy_rows(path) if path.suffix == ".npy" else _text_rows(path)
+    if width > 1 and len(rows) == width and all(len(r) == 1 for _, r in rows):
+        rows = [("", [r[0] for _, r in rows])]
+    for place, row in rows:
+        if len(row) != width:
+            raise InputError(path, place, f"{len(row)} numbers", f"{width} (w x y z a ball joint, 1 a hinge or slide)")
+        bad = [x for x in row if not math.isfinite(x)]
+        if bad:
+            raise InputError(path, place, str(bad[0]), "finite numbers")
+    if not rows:
+        raise InputError(path, "", "no numbers", f"{width} in a row, a row for all worlds or for each")
+    return np.array([row for _, row in rows])
+
+
+def _text_rows(path: Path) -> list[tuple[str, list[float]]]:
+    rows = []
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        words = line.split("#", 1)[0].replace(",", " ").split()
+        try:
+            values = [float(word) for word in words]
+        except ValueError as error:
+            raise InputError(path, f"line {number}", str(error).rsplit(": ", 1)[-1], "numbers") from None
+        if values:
+            rows.append((f"line {number}", values))
+    return rows
+
+
+def _npy_rows(path: Path) -> list[tuple[str, list[float]]]:
+    import numpy as np
+
+    allowed = "a NumPy array of real numbers, shape [nq] or [worlds, nq]"
+    try:
+        values: Any = np.load(path, allow_pickle=False)
+    except FileNotFoundError:
+        raise InputError(path, "", "no such file", "an existing file") from None
+    except (OSError, EOFError, ValueError) as error:
+        raise InputError(path, "", f"no array ({str(error).splitlines()[0]})", allowed) from None
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu" or values.ndim not in (1, 2):
+        kind = f"{values.dtype} of shape {values.shape}" if isinstance(values, np.ndarray) else "several arrays"
+        raise InputError(path, "", kind, allowed)
+    return [(f"row {k}", row.tolist()) for k, row in enumerate(np.atleast_2d(values.astype(np.float64)))]
+
+
+def _set_start(options: Simulate, simulator: Simulator, rows: Array) -> None:
+    try:
+        simulator.state.set_qpos(rows)
+    except InputError as error:
+        raise InputError(options.qpos or options.source, error.place, error.found, error.allowed) from None
+    simulator.refresh()

@@ -1,0 +1,143 @@
+"""``bough train``: learn a policy for a task, on one device or many."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from ..learn.policies.ppo_settings import PRESETS, Preset, preset_of
+from ..learn.tasks.registry import TaskRegistry, builtin_tasks
+from ..learn.tasks.task import require_rsl_rl
+from ..sim.base.console import bar, shown, start_warp, warn
+from ..sim.base.errors import InputError
+from .exit_codes import ExitCode
+
+if TYPE_CHECKING:
+    from ..learn.policies.train import Plan, Trainer
+    from ..learn.runs.folder import RunFolder
+    from ..learn.runs.processes import Processes
+
+#: Exit code of a run that lost the finite, and of one that was interrupted.
+
+
+@dataclass(frozen=True)
+class Train:
+    """Learn a policy with PPO; write config.json, metrics.csv, checkpoints, learning.png and report.html.
+
+    Under torchrun every process simulates worlds of its own and all learn one policy. Exit code 0: done; 2: bad input,
+    nothing written; 3: a loss left the finite, the newest checkpoint is from before.
+
+    Attributes:
+        task: What to learn: powerline, exposure or inspection.
+        out: Folder of the run; it must not hold a run, unless with --resume.
+        num_envs: Worlds in each process; the preset's if not given.
+        iterations: Updates of the policy; the preset's if not given. With --resume it may be more than at first.
+        device: cpu, cuda or cuda:N; a GPU if there is one. Several processes take a GPU each.
+        seed: Seed of everything random, 0 if not given.
+        preset: Size of the run and of its steps; the device's own if not given.
+        without: Observation groups left out, such as kme,touch.
+        model: model.yaml of a branch with lengths and radii, such as bough diagnose writes: all trees are of its wood,
+            as those of bough forest --model. One with effects is refused.
+        resume: Go on with a run that was killed or is to be longer, with its own settings; begin where there is none.
+    """
+
+    task: tyro.conf.Positional[str]
+    out: Path
+    num_envs: int | None = None
+    iterations: int | None = None
+    device: str | None = None
+    seed: int | None = None
+    preset: Preset | None = None
+    without: tuple[str, ...] = ()
+    model: Path | None = None
+    resume: bool = False
+
+    def run(self, registry: TaskRegistry | None = None) -> int:
+        """Train, say what came out and where the report is; return the exit code."""
+        require_rsl_rl()
+        start_warp()
+        registry = registry or builtin_tasks()
+        from ..learn.policies.train import LostError, train, warn_of_differences
+        from ..learn.runs.folder import RunFolder
+        from ..learn.runs.processes import Processes
+
+        folder, processes = RunFolder(self.out), Processes.of_torchrun()
+        going_on = self.resume and folder.exists
+        plan = self._kept(folder, registry, processes) if going_on else self._fresh(registry, processes)
+        if going_on and processes.first:
+            warn_of_differences(folder, plan)
+        try:
+            silent = nullcontext(lambda done: None)
+            with bar(f"learning {plan.task}", plan.ppo.iterations) if processes.first else silent as advance:
+                trainer = train(plan, self.out, registry, resume=going_on, progress=advance)
+        except LostError as error:
+            warn(f"{error}; the newest checkpoint is from before")
+            return ExitCode.NOT_TRUSTED
+        except KeyboardInterrupt:
+            print(f"bough: interrupted; go on with bough train {self.task} --out {self.out} --resume", file=sys.stderr)
+            return ExitCode.INTERRUPTED
+        if processes.first:
+            _tell(trainer)
+        return ExitCode.DONE
+
+    def _fresh(self, registry: TaskRegistry, processes: Processes) -> Plan:
+        """Return the plan of a new run."""
+        from ..learn.policies.train import Plan
+
+        registry.check_name(self.task)
+        device = processes.device(self.device)
+        preset = self.preset or preset_of(device)
+        own = PRESETS[preset]
+        worlds = own.num_envs if self.num_envs is None else self.num_envs
+        ppo = replace(own, num_envs=worlds, iterations=own.iterations if self.iterations is None else self.iterations)
+        settings = registry.without(registry.presets[preset], self._left_out)
+        if self.model is not None:
+            settings = registry.of_model(settings, self.model)
+        return Plan(self.task, settings, ppo, self.seed or 0, device)
+
+    def _kept(self, folder: RunFolder, registry: TaskRegistry, processes: Processes) -> Plan:
+        """Return the plan of the run that is there; what was given must be what it was begun with."""
+        from ..learn.policies.train import plan_of
+
+        kept = plan_of(folder, registry)
+        if self.task != kept.task:
+            raise InputError(folder.path, "task", f"a run of {kept.task}", f"{kept.task}, or another --out")
+        _same(folder, "torchrun's processes", processes.count, folder.config()["processes"])
+        _same(folder, "--num-envs", self.num_envs, kept.ppo.num_envs)
+        _same(folder, "--seed", self.seed, kept.seed)
+        if self.preset is not None:
+            own = PRESETS[self.preset]
+            _same(folder, "--preset", replace(own, num_envs=0, iterations=0),
+                  replace(kept.ppo, num_envs=0, iterations=0))  # fmt: skip
+        if self.without:
+            left = tuple(name for name in registry.groups if name not in self._left_out)
+            _same(folder, "--without", left, kept.settings.groups)
+        if self.model is not None:
+            _same(folder, "--model", registry.of_model(kept.settings, self.model), kept.settings)
+        wanted = kept.ppo.iterations if self.iterations is None else self.iterations
+        device = processes.device(self.device or kept.device)
+        return replace(kept, ppo=replace(kept.ppo, iterations=wanted), device=device)
+
+    @property
+    def _left_out(self) -> tuple[str, ...]:
+        return tuple(name for entry in self.without for name in entry.split(",") if name)
+
+
+def _same(folder: RunFolder, option: str, given: object, kept: object) -> None:
+    """Raise `InputError` where an option is given and not what the run was begun with."""
+    if given is not None and given != kept:
+        plainly = isinstance(kept, int)
+        found, allowed = (given, kept) if plainly else ("other settings", "those that the run was begun with")
+        raise InputError(folder.path, option, str(found), f"{allowed}, or no --resume and another --out")
+
+
+def _tell(trainer: Trainer) -> None:
+    from ..learn.policies.train_report import sentence, write
+
+    write(trainer.folder)
+    print(f"{sentence(trainer.folder)} Open {shown(trainer.folder.path)}/report.html")

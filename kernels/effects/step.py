@@ -1,0 +1,368 @@
+"""The step of worlds whose joints and links obey laws of `terms`, each world with values of its own.
+
+Values lie as a user writes them, a number a world and link. Every launch first takes them over into the lanes' order
+and notes which terms any world of a group uses (``active``); a term that none uses costs the steps that follow nothing.
+The rest is `articulated.advance_loaded` with these terms:
+
+``joint``     effort and damper of the law at every joint, the damper implicit
+``link``      a force on every link, and its moment about the joint
+``tip_mass``  a point mass at the end of every link; torques hold it in the springs' rest pose, where there is a spring
+
+A law's time is the world's own: ``clock`` counts the seconds since the world's start in float64.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from ..lanes.algebra import add, add_cross, cross, div, dot, half_angle_log, mul, rotate, sub, unrotate
+from ..lanes.real import SOURCE, fma, real, where_neg
+from ..tree.articulated import (
+    PRISMATIC,
+    REVOLUTE,
+    SPHERICAL,
+    advance_links,
+    fold_link,
+    own_force,
+    own_inertia,
+    own_moment,
+    place_links,
+    place_root,
+    skew,
+)
+from ..tree.momentum import HELD, PIVOTED, add_gravity, add_impulses, restore_momentum, sum_momentum
+from .terms import PARAMETERS, Term, chain_of, effect_types, effective_damping, skew_square, strips_of
+
+__all__ = ["KINDS", "term_functions", "term_kernels", "term_types", "time_of"]
+
+#: Kinds of terms that a free step knows; ``active`` holds a flag for each behind those of the terms.
+KINDS = ("joint", "link", "tip_mass")
+
+
+@cache
+def term_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
+    """Return the structs of `terms.effect_types` and ``Terms``.
+
+    Rows of ``value`` are parameters; ``source`` says in which column a lane's number stands, -1 where there is none.
+    """
+    t = effect_types(width, precision)
+    Real, Vec, Quat = t.Real, t.Vec, t.Quat
+    Scalar: Any = wp.float64 if precision == 64 else wp.float32
+
+    @wp.struct
+    class Terms:
+        value: wp.array2d(dtype=Scalar)
+        source: wp.array3d(dtype=int)
+        term: wp.array(dtype=int)
+        kind: wp.array(dtype=int)
+        target: wp.array(dtype=int)
+        own: wp.array(dtype=int)
+        balls: wp.array(dtype=int)
+        neutral: wp.array(dtype=wp.float64)
+        elsewhere: wp.array(dtype=wp.float64)
+        parameter: wp.array2d(dtype=Real)
+        entry: wp.array4d(dtype=Scalar)
+        active: wp.array2d(dtype=int)
+        stride: int
+        memory: wp.array2d(dtype=Vec)
+        clock: wp.array(dtype=wp.float64)
+        begin: wp.array(dtype=Real)
+        begin_entry: wp.array4d(dtype=Scalar)
+        damping: wp.array2d(dtype=Real)
+        area: wp.array2d(dtype=Real)
+        centre: wp.array2d(dtype=Vec)
+        end: wp.array2d(dtype=Vec)
+        pose: wp.array2d(dtype=Quat)
+        offset: wp.array2d(dtype=Vec)
+        hold: wp.array2d(dtype=Vec)
+        effort: wp.array2d(dtype=Vec)
+        wind: wp.array2d(dtype=Vec)
+        swirl: wp.array2d(dtype=Vec)
+
+    return SimpleNamespace(**vars(t), Scalar=Scalar, Terms=Terms)
+
+
+# ---- before the steps of a launch --------------------------------------------------------------------------------
+
+
+def _taking(t: SimpleNamespace, count: int, key: str) -> Any:
+    """Device function that takes over values and time."""
+    Scalar, W, flags = t.Scalar, t.width, count + len(KINDS)
+
+    def take(e: int, m: Any, fx: Any, duration: wp.float64):
+        """Take over what was written, mark the terms that any world uses, and move the clocks on by ``duration``."""
+        for n in range(flags):
+            fx.active[e, n] = 0
+        for r in range(fx.term.shape[0]):
+            own = fx.own[r]
+            balls = fx.balls[r]
+            first = fx.target[r] * fx.stride
+            neutral = Scalar(fx.neutral[r])
+            elsewhere = Scalar(fx.elsewhere[r])
+            used = wp.int32(0)
+            for i in range(own, m.count[e] * own + 1):
+                given = balls == 0 or m.kind[e, i] == SPHERICAL
+                off = wp.where(given, neutral, elsewhere)
+                for k in range(W):
+                    value = off
+                    at = fx.source[e, i, k]
+                    if given and at >= 0:
+                        value = fx.value[r, at]
+                    if value != off:
+                        used = 1
+                    fx.entry[e, first + i, 0, k] = value
+            if used == 1:
+                fx.active[e, fx.term[r]] = 1
+                fx.active[e, count + fx.kind[r]] = 1
+        for k in range(W):
+            now = fx.clock[e * W + k]
+            fx.begin_entry[e, 0, 0, k] = Scalar(now)
+            fx.clock[e * W + k] = now + duration
+
+    return wp.func(take, name=f"take_{key}")
+
+
+@wp.func
+def holding(kind: int, pose: Any, axis: Any, moment: Any, force: Any):
+    """Joint force that carries a moment and force (world axes) in the joint's own coordinates."""
+    out = unrotate(pose, moment)
+    o = real(0.0, out.x)
+    if kind == REVOLUTE:
+        out = type(out)(dot(axis, moment), o, o)
+    if kind == PRISMATIC:
+        out = type(out)(dot(axis, force), o, o)
+    return out
+
+
+@wp.func
+def hold_ends(e: int, row: int, slot: int, m: Any, fx: Any, s: Any):
+    """Joint forces that carry the weight of the masses at links' ends in the springs' rest pose."""
+    n = m.count[e]
+    like = m.offset[e, 1]
+    o = real(0.0, like.x)
+    lift = type(like)(real(m.lift[0], o), real(m.lift[1], o), real(m.lift[2], o))
+    for i in range(n + 1):
+        s.n[row, i] = type(like)(o, o, o)
+        s.f[row, i] = type(like)(o, o, o)
+    for step in range(n):
+        i = n - step
+        pose = fx.pose[e, i]
+        own = lift * fx.parameter[e, slot * PARAMETERS * fx.stride + i]
+        force = s.f[row, i] + own
+        moment = add_cross(s.n[row, i], rotate(pose, fx.end[e, i]), own)
+        held = holding(m.kind[e, i], pose, rotate(pose, m.axis[e, i]), moment, force)
+        none = o - m.stiffness[e, i]
+        fx.hold[row, i] = type(like)(where_neg(none, held.x, o), where_neg(none, held.y, o), where_neg(none, held.z, o))
+        p = m.parent[e, i]
+        s.f[row, p] = s.f[row, p] + force
+        s.n[row, p] = add_cross(s.n[row, p] + moment, fx.offset[e, i], force)
+
+
+# ---- the step ----------------------------------------------------------------------------------------------------
+
+
+@wp.func
+def state_of(kind: int, q: Any, w: Any, stiffness: Any, time: Any, h: wp.float64, like: Any):
+    """Angle, rate and spring of a joint as laws see them."""
+    o = real(0.0, time)
+    angle = type(w)(q.x, o, o)
+    rate = type(w)(w.x, o, o)
+    if kind == SPHERICAL:
+        angle = type(w)(q.x, q.y, q.z) * half_angle_log(q)
+        rate = w
+    return type(like)(angle, rate, stiffness, time, real(h, o))
+
+
+def _straining(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> Any:
+    """Device function of the laws at a joint."""
+    law, JointState, Response = chain_of("joint", terms, t, key), t.JointState, t.Response
+
+    def strain(e: int, row: int, i: int, m: Any, x: Any, fx: Any, h: wp.float64, time: Any):
+        """Return the laws' effort at a joint; its damper becomes what they make of it."""
+        w = x.velocity[e, i]
+        o = real(0.0, time)
+        zero = type(w)(o, o, o)
+        kind = m.kind[e, i]
+        spring = m.stiffness[e, i]
+        j = state_of(kind, x.coordinate[e, i], w, spring, time, h, JointState(w, w, o, o, o))
+        r = law(e, i, fx, j, Response(zero, zero, o, o))
+        m.damping[e, i] = effective_damping(kind, fx.damping[e, i], spring, r.stiffness, r.damping, h)
+        fx.effort[row, i] = r.torque
+        return r.torque
+
+    return wp.func(strain, name=f"strain_{key}")
+
+
+def _blowing(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> Any:
+    """Device function of the laws at links."""
+    strips = strips_of(terms, t, key)
+
+    def blow(e: int, row: int, m: Any, fx: Any, s: Any, time: Any):
+        """Write the laws' force on every link and its moment about the joint."""
+        for i in range(1, m.count[e] + 1):
+            blown = strips(e, row, i, m, fx, s, time)
+            fx.wind[row, i] = blown.force
+            fx.swirl[row, i] = blown.moment
+
+    return wp.func(blow, name=f"blow_{key}")
+
+
+def _advancing(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> SimpleNamespace:
+    """Device functions of one step; see `term_functions`."""
+    kinds = [term.kind for term in terms]
+    has_joint, has_link, has_end = (int(kind in kinds) for kind in KINDS)
+    at_joint, at_link, at_end = (len(terms) + n for n in range(len(KINDS)))
+    end_row = PARAMETERS * (kinds.index("tip_mass") if has_end else 0)
+    strain, blow = _straining(t, terms, key), _blowing(t, terms, key)
+
+    def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: Any):
+        """Fold as `articulated.fold_links_loaded` does, with the laws' efforts, forces and masses."""
+        n = m.count[e]
+        for step in range(n):
+            i = n - step
+            A = own_inertia(e, row, i, m, s)
+            mass = m.mass[e, i]
+            pose = s.pose[row, i]
+            mc = rotate(pose, m.com[e, i]) * mass
+            effort = u.effort[e, i]
+            if wp.static(has_end):
+                if fx.active[e, at_end] == 1:
+                    extra = fx.parameter[e, end_row * fx.stride + i]
+                    arm = rotate(pose, fx.end[e, i])
+                    A = A + skew_square(arm, A) * extra
+                    mass = mass + extra
+                    mc = mc + arm * extra
+                    effort = effort + fx.hold[row, i]
+            if wp.static(has_joint):
+                if fx.active[e, at_joint] == 1:
+                    effort = effort + strain(e, row, i, m, x, fx, h, time)
+                else:
+                    m.damping[e, i] = fx.damping[e, i]
+            B = skew(mc, s.U[row, i])
+            pushed = u.force[e, i]
+            f = own_force(row, i, s, mass, mc) - pushed
+            n0 = add_cross(own_moment(row, i, s, A, mc), pushed, rotate(pose, u.point[e, i]))
+            if wp.static(has_link):
+                if fx.active[e, at_link] == 1:
+                    f = f - fx.wind[row, i]
+                    n0 = n0 - fx.swirl[row, i]
+            fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + effort)
+
+    fold = wp.func(fold, name=f"fold_{key}")
+
+    def feel(e: int, row: int, m: Any, fx: Any, s: Any, time: Any):
+        """Write the laws' force on every link, where there is any."""
+        if wp.static(has_link):
+            if fx.active[e, at_link] == 1:
+                blow(e, row, m, fx, s, time)
+
+    feel = wp.func(feel, name=f"feel_{key}")
+
+    def advance(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: Any, bound: wp.float64):
+        """Take one semi-implicit step of length h [s] from the worlds' times."""
+        place_root(e, row, m, s)
+        place_links(e, row, m, x, s)
+        feel(e, row, m, fx, s, time)
+        fold(e, row, m, x, u, fx, s, h, time)
+        advance_links(e, row, m, x, s, h, bound)
+        x.tick[e] = x.tick[e] + 1
+
+    def push(e: int, row: int, m: Any, fx: Any, s: Any, h: wp.float64):
+        """Add the impulses of the laws' forces, and of their torque at a ball root, to the momenta before the step."""
+        if wp.static(has_link):
+            if fx.active[e, at_link] == 1:
+                for i in range(1, m.count[e] + 1):
+                    s.accel[row, i] = s.accel[row, m.parent[e, i]] + s.r[row, i]
+                    lasts = real(h, m.mass[e, i])
+                    impulse = fx.wind[row, i] * lasts
+                    s.f[row, 0] = s.f[row, 0] + impulse
+                    s.n[row, 0] = add_cross(s.n[row, 0] + fx.swirl[row, i] * lasts, s.accel[row, i], impulse)
+        if wp.static(has_joint):
+            if fx.active[e, at_joint] == 1 and m.free[e] == PIVOTED:
+                torque = rotate(s.pose[row, 1], fx.effort[row, 1])
+                s.n[row, 0] = s.n[row, 0] + torque * real(h, torque.x)
+
+    advance, push = wp.func(advance, name=f"advance_{key}"), wp.func(push, name=f"push_{key}")
+    return SimpleNamespace(feel=feel, fold=fold, advance=advance, push=push)
+
+
+@wp.func
+def time_of(e: int, fx: Any, k: int, h: wp.float64):
+    """Time of the worlds at step k of a launch [s]."""
+    begin = fx.begin[e]
+    return begin + real(h * wp.float64(k), begin)
+
+
+@cache
+def term_functions(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamespace:
+    """Return the device functions of a step with terms.
+
+    ``start(e, row, m, fx, s, duration)``  before the steps of a launch, which take ``duration`` together
+    ``feel(e, row, m, fx, s, time)``       after links are placed: forces on links
+    ``fold(e, row, m, x, u, fx, s, h, time)``  in the place of `articulated.fold_links_loaded`
+    ``advance(e, row, m, x, u, fx, s, h, time, bound)``  a whole step
+    ``push(e, row, m, fx, s, h)``          adds the laws' impulses to the momenta before a step
+    """
+    t = term_types(width, precision)
+    key = f"free_{width}_{precision}_" + "_".join(f"{term.name}_{term.kind}" for term in terms)
+    take, parts = _taking(t, len(terms), key), _advancing(t, terms, key)
+    ends = [term.slot for term in terms if term.kind == "tip_mass"]
+    has_end, end_slot = len(ends), ends[0] if ends else 0
+
+    def start(e: int, row: int, m: Any, fx: Any, s: Any, duration: wp.float64):
+        """Take over values and time, and hold the masses at links' ends."""
+        take(e, m, fx, duration)
+        if wp.static(has_end):
+            if fx.active[e, end_slot] == 1:
+                hold_ends(e, row, end_slot, m, fx, s)
+
+    parts.start = wp.func(start, name=f"start_{key}")
+    return parts
+
+
+@cache
+def term_kernels(width: int, precision: int, terms: tuple[Term, ...], free: bool = False) -> SimpleNamespace:
+    """Return the kernels ``step`` (`step.step_kernels` under a load, with terms of the kinds in `KINDS`) and ``rest``.
+
+    With ``free`` the momentum of trees that nothing holds is kept (`momentum`).
+    """
+    t, parts = term_types(width, precision), term_functions(width, precision, terms)
+    start, advance, push = parts.start, parts.advance, parts.push
+    Model, State, Load, Scratch, Terms = t.Model, t.State, t.Load, t.Scratch, t.Terms
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def step_terms(
+        m: Model, x_in_out: State, u_in: Load, fx: Terms, s_out: Scratch, first: int, row: int, substeps: int,
+        h: wp.float64, bound: wp.float64,
+    ):  # fmt: skip
+        tag = SOURCE  # noqa: F841
+        e = first + wp.tid()
+        r = wp.where(row < 0, e, row)
+        start(e, r, m, fx, s_out, h * wp.float64(substeps))
+        for k in range(substeps):
+            if wp.static(free):
+                if m.free[e] != HELD:
+                    sum_momentum(e, r, m, x_in_out, s_out)
+                    add_gravity(r, s_out, h)
+                    add_impulses(e, r, m, u_in, s_out, h)
+            advance(e, r, m, x_in_out, u_in, fx, s_out, h, time_of(e, fx, k, h), bound)
+            if wp.static(free):
+                if m.free[e] != HELD:
+                    push(e, r, m, fx, s_out, h)
+                    restore_momentum(e, r, m, x_in_out, s_out)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def rest_terms(m: Model, x_in: State, fx: Terms, s_out: Scratch, first: int, row: int):
+        """Note poses and offsets (world axes) of a state, for `hold_ends`."""
+        tag = SOURCE  # noqa: F841
+        e = first + wp.tid()
+        r = wp.where(row < 0, e, row)
+        place_root(e, r, m, s_out)
+        place_links(e, r, m, x_in, s_out)
+        for i in range(1, m.count[e] + 1):
+            fx.pose[e, i] = s_out.pose[r, i]
+            fx.offset[e, i] = s_out.r[r, i]
+
+    return SimpleNamespace(step=step_terms, rest=rest_terms)

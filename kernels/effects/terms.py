@@ -1,0 +1,443 @@
+"""What a plain spring and damper lack, as terms of the step: how laws plug in, and the step that calls them.
+
+A law is a device function of one of three kinds. Laws are chained when a kernel is built, so a kernel holds exactly the
+ones it is built with; the plain step (`articulated`) knows nothing of them.
+
+``joint``  ``law(j, p, r)`` takes a `JointState`, the parameters and an empty `Response` that holds the joint's memory
+           (zero at the start); it returns one of the type of r: torque added to the joint's effort [N m or N], new
+           memory, stiffness beyond the joint's spring [N m/rad], damping [N m s/rad]; torque is without the damper's.
+           A law that remembers two vectors gets a `LongResponse`, with ``second`` after ``memory``
+``link``   ``law(b, p)`` takes a `LinkState` (``velocity`` of a point [m/s] and ``arm`` from the joint to it [m], world
+           axes; ``turn`` of the link; ``area`` [m^2], ``time`` [s]) and returns the force there, world axes [N]. It is
+           asked at two points with half of the link's area each, so that a link that turns feels what its length does
+           (`strips_of`)
+``force``  ``law(g, p)`` takes a `ForceState` and returns the force that truly acts, from what the sensor recorded [N]
+
+``p`` holds up to six parameters, ``p.a`` to ``p.f``, in the order in which the effect lists them. A ball joint's angle
+is its rotation vector from rest and its rate the angular velocity, both in the link's frame; other joints use x alone.
+
+Worlds of a group whose parameters of a term are all neutral skip it (``active``), so that a kernel with every law in it
+costs a group little more than the laws it uses.
+
+Damping that a law reports is implicit in the step, so that a law as steep as dry friction at rest stays stable. A ball
+joint's stiffness beyond its own spring brings the least damper that an explicit spring needs there (half a step times
+the stiffness, since a segment has hardly any inertia about its own axis).
+"""
+
+from functools import cache
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from ..lanes.algebra import add, add_cross, cross, div, half_angle_log, mul, rotate, sub
+from ..lanes.real import fma, real, where_neg
+from ..tree.articulated import (
+    PRISMATIC,
+    SPHERICAL,
+    advance_links,
+    fold_link,
+    own_force,
+    own_inertia,
+    own_moment,
+    place_links,
+    place_root,
+    skew,
+)
+from ..tree.layout import layout_of
+
+__all__ = ["GROUPS", "PARAMETERS", "Term", "effect_types", "step_of"]
+
+#: Parameters that a term may have.
+PARAMETERS = 6
+
+#: What follows the terms in ``active``: whether any term of a kind is on, any damage, and any load to rest under.
+GROUPS = ("joint", "link", "lasting", "resting")
+
+#: Least damper of a ball joint over its stiffness, in steps.
+LEAST_DAMPER = wp.constant(wp.float64(0.6))
+
+
+#: Gauss's points of a link's length, from its middle, over the joint's distance from there.
+STRIP = wp.constant(wp.float64(3.0**-0.5))
+
+#: What a step is for: to move; to find rest under all that acts; or to find rest in a calm, without link forces.
+MOVING = wp.constant(0)
+STILL = wp.constant(1)
+CALM = wp.constant(2)
+
+
+class Term(NamedTuple):
+    """A law as a kernel is built with it; its parameters start at entry ``slot`` of the parameter array.
+
+    Attributes:
+        name: Of the effect.
+        kind: ``joint``, ``link``, ``force``, or the name of a term that the replay itself carries out.
+        law: Device function; None for the latter.
+        slot: Which of the terms it is.
+        per_joint: Whether every joint has parameters of its own; else they stand at place 0.
+        memory: How many vectors each joint remembers, up to two.
+        persistent: Whether that memory outlasts a recording (damage), or is zero at the start of each.
+    """
+
+    name: str
+    kind: str
+    law: Any
+    slot: int
+    per_joint: bool
+    memory: int = 0
+    persistent: bool = False
+
+
+def memory_row(terms: tuple[Term, ...], slot: int) -> int:
+    """Return how many vectors the terms before a slot remember: the first row of that term's memory."""
+    return sum(term.memory for term in terms if term.slot < slot)
+
+
+@cache
+def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
+    """Return the structs of `kernels.tree.layout` and those that laws take, of one width and precision."""
+    t = layout_of(width, precision)
+    Real, Vec, Quat = t.Real, t.Vec, t.Quat
+
+    @wp.struct
+    class Parameters:
+        a: Real
+        b: Real
+        c: Real
+        d: Real
+        e: Real
+        f: Real
+
+    @wp.struct
+    class JointState:
+        angle: Vec
+        rate: Vec
+        stiffness: Real
+        time: Real
+        step: Real
+
+    @wp.struct
+    class Response:
+        torque: Vec
+        memory: Vec
+        stiffness: Real
+        damping: Real
+
+    @wp.struct
+    class LongResponse:
+        torque: Vec
+        memory: Vec
+        second: Vec
+        stiffness: Real
+        damping: Real
+
+    @wp.struct
+    class LinkState:
+        velocity: Vec
+        arm: Vec
+        turn: Quat
+        area: Real
+        time: Real
+
+    @wp.struct
+    class Wrench:
+        force: Vec
+        moment: Vec
+
+    @wp.struct
+    class ForceState:
+        force: Vec
+        contact: Real
+        turn: Quat
+        first: Quat
+        gravity: Vec
+
+    @wp.struct
+    class Effects:
+        parameter: wp.array2d(dtype=Real)
+        memory: wp.array2d(dtype=Vec)
+        damping: wp.array2d(dtype=Real)
+        effort: wp.array2d(dtype=Vec)
+        hold: wp.array2d(dtype=Vec)
+        wind: wp.array2d(dtype=Vec)
+        swirl: wp.array2d(dtype=Vec)
+        active: wp.array2d(dtype=int)
+        area: wp.array2d(dtype=Real)
+        centre: wp.array2d(dtype=Vec)
+        settle: wp.array(dtype=Real)
+        tip: int
+        tip_point: wp.array(dtype=wp.float64)
+        stride: int
+
+    return SimpleNamespace(**vars(t), Parameters=Parameters, JointState=JointState, Response=Response,
+                           LongResponse=LongResponse, LinkState=LinkState, ForceState=ForceState, Wrench=Wrench,
+                           Effects=Effects)  # fmt: skip
+
+
+# ---- chains: each function calls the one before it and adds a law ----------------------------------------------------
+
+
+@wp.func
+def no_joint(e: int, i: int, fx: Any, j: Any, r: Any):
+    return r
+
+
+@wp.func
+def no_link(e: int, i: int, fx: Any, b: Any):
+    return b.velocity - b.velocity
+
+
+@wp.func
+def no_force(e: int, i: int, fx: Any, g: Any):
+    return g.force
+
+
+def _named(function: Any, term: Term, key: str) -> Any:
+    """Make a device function of its own: Warp tells functions of one module apart by their names."""
+    return wp.func(function, name=f"{key}_{term.kind}_{term.name}_{term.slot}_{term.per_joint}")
+
+
+def _reader(term: Term, types: SimpleNamespace, key: str) -> Any:
+    """Device function that reads a term's parameters for joint or link i."""
+    first, own, Parameters = term.slot * PARAMETERS, int(term.per_joint), types.Parameters
+
+    def read(e: int, i: int, fx: Any):
+        k = first * fx.stride + i * own
+        n = fx.stride
+        return Parameters(
+            fx.parameter[e, k], fx.parameter[e, k + n], fx.parameter[e, k + 2 * n], fx.parameter[e, k + 3 * n],
+            fx.parameter[e, k + 4 * n], fx.parameter[e, k + 5 * n],
+        )  # fmt: skip
+
+    return _named(read, term, f"read{key}")
+
+
+def _with_joint(before: Any, term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
+    read, law, slot, memory = _reader(term, types, key), term.law, term.slot, term.memory
+    LongResponse = types.LongResponse
+
+    def joint(e: int, i: int, fx: Any, j: Any, r: Any):
+        sofar = before(e, i, fx, j, r)
+        if fx.active[e, slot] == 1:
+            k = row * fx.stride + i
+            p = read(e, i, fx)
+            if wp.static(memory == 0):
+                own = law(j, p, r)
+            if wp.static(memory == 1):
+                own = law(j, p, type(r)(r.torque, fx.memory[e, k], r.stiffness, r.damping))
+                fx.memory[e, k] = own.memory
+            if wp.static(memory == 2):
+                long = LongResponse(r.torque, fx.memory[e, k], fx.memory[e, k + fx.stride], r.stiffness, r.damping)
+                own = law(j, p, long)
+                fx.memory[e, k] = own.memory
+                fx.memory[e, k + fx.stride] = own.second
+            sofar = type(r)(
+                sofar.torque + own.torque, sofar.memory, sofar.stiffness + own.stiffness, sofar.damping + own.damping
+            )
+        return sofar
+
+    return _named(joint, term, f"joint{key}")
+
+
+def _with_link(before: Any, term: Term, types: SimpleNamespace, key: str) -> Any:
+    read, law, slot = _reader(term, types, key), term.law, term.slot
+
+    def link(e: int, i: int, fx: Any, b: Any):
+        total = before(e, i, fx, b)
+        if fx.active[e, slot] == 1:
+            total = total + law(b, read(e, i, fx))
+        return total
+
+    return _named(link, term, f"link{key}")
+
+
+def _with_force(before: Any, term: Term, types: SimpleNamespace, key: str) -> Any:
+    read, law, slot = _reader(term, types, key), term.law, term.slot
+
+    def force(e: int, i: int, fx: Any, g: Any):
+        acting = before(e, i, fx, g)
+        if fx.active[e, slot] == 1:
+            acting = law(type(g)(acting, g.contact, g.turn, g.first, g.gravity), read(e, i, fx))
+        return acting
+
+    return _named(force, term, f"force{key}")
+
+
+def chain_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
+    """Return the device function that applies all terms of a kind, in their order."""
+    chain = {"joint": no_joint, "link": no_link, "force": no_force}[kind]
+    for n, term in enumerate(t for t in terms if t.kind == kind):
+        given = (chain, term, types, f"{key}_{n}")
+        if kind == "joint":
+            chain = _with_joint(*given, memory_row(terms, term.slot))
+        else:
+            chain = _with_link(*given) if kind == "link" else _with_force(*given)
+    return chain
+
+
+def strips_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
+    """Return the device function of the laws at a link: their force, and its moment about the joint, world axes.
+
+    Strip theory: force per length is integrated along the link by Gauss's two points, exact for cubics. The link
+    reaches from its joint to twice its centre of area.
+    """
+    law, LinkState, Wrench = chain_of("link", terms, types, key), types.LinkState, types.Wrench
+
+    def strips(e: int, row: int, i: int, m: Any, fx: Any, s: Any, time: Any):
+        pose = s.pose[row, i]
+        middle = rotate(pose, fx.centre[e, i])
+        velocity = centre_velocity(e, row, i, m, s, middle)
+        half = fx.area[e, i] * real(0.5, time)
+        away = middle * real(STRIP, time)
+        spin = s.spin[row, i]
+        far = LinkState(add_cross(velocity, spin, away), middle + away, pose, half, time)
+        near = LinkState(add_cross(velocity, away, spin), middle - away, pose, half, time)
+        outer = law(e, i, fx, far)
+        inner = law(e, i, fx, near)
+        return Wrench(outer + inner, add_cross(cross(far.arm, outer), near.arm, inner))
+
+    return wp.func(strips, name=f"strips_{key}")
+
+
+# ---- the step ----------------------------------------------------------------------------------------------------
+
+
+@wp.func
+def joint_state(e: int, i: int, kind: int, m: Any, x: Any, like: Any, time: wp.float64, h: wp.float64):
+    """Angle and rate of a joint as laws see them."""
+    q = x.coordinate[e, i]
+    w = x.velocity[e, i]
+    o = real(0.0, q.x)
+    angle = type(w)(q.x, o, o)
+    rate = type(w)(w.x, o, o)
+    if kind == SPHERICAL:
+        angle = type(w)(q.x, q.y, q.z) * half_angle_log(q)
+        rate = w
+    return type(like)(angle, rate, m.stiffness[e, i], real(time, o), real(h, o))
+
+
+@wp.func
+def effective_damping(kind: int, own: Any, stiffness: Any, more: Any, extra: Any, h: wp.float64):
+    """Damper of a joint: its own, what laws add, and the least one of a ball joint that laws make stiffer."""
+    d = own + extra
+    o = real(0.0, d)
+    if kind == SPHERICAL:
+        need = (stiffness + more) * real(LEAST_DAMPER * h, d) - d
+        need = where_neg(need, o, need)
+        d = d + where_neg(o - more, need, o)
+    return d
+
+
+@wp.func
+def skew_square(d: Any, like: Any):
+    """|d|^2 1 - d d^T, the inertia of a unit mass at d, of the type of ``like``."""
+    o = real(0.0, d.x)
+    return type(like)(
+        fma(d.y, d.y, d.z * d.z), (o - d.x) * d.y, (o - d.x) * d.z,
+        fma(d.x, d.x, d.z * d.z), (o - d.y) * d.z, fma(d.x, d.x, d.y * d.y),
+    )  # fmt: skip
+
+
+@wp.func
+def centre_velocity(e: int, row: int, i: int, m: Any, s: Any, arm: Any):
+    """Velocity of a point ``arm`` from a joint point, world axes; joint points' velocities are left in ``s.alpha``."""
+    p = m.parent[e, i]
+    v = add_cross(s.alpha[row, p], s.spin[row, p], s.r[row, i])
+    if m.kind[e, i] == PRISMATIC:
+        v = v + s.relative[row, i]
+    s.alpha[row, i] = v
+    return add_cross(v, s.spin[row, i], arm)
+
+
+@cache
+def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamespace:
+    """Return the device functions ``advance`` (one step with all terms), ``joint`` and ``force`` (the chains)."""
+    t = effect_types(width, precision)
+    key = f"{width}_{precision}_" + "_".join(term.name for term in terms)
+    joint = chain_of("joint", terms, t, key)
+    strips = strips_of(terms, t, key)
+    force = chain_of("force", terms, t, key)
+    has_joint, has_link = (int(any(x.kind == k for x in terms)) for k in ("joint", "link"))
+    tips = [x.slot for x in terms if x.kind == "tip_mass"]
+    has_tip, tip_slot = len(tips), tips[0] * PARAMETERS if tips else 0
+    JointState, Response = t.JointState, t.Response
+    at_joints, at_links = (len(terms) + GROUPS.index(k) for k in ("joint", "link"))
+
+    def act(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, still: int):
+        """Evaluate the laws of joints and links at the present state; seek rest unless ``still`` is MOVING."""
+        for i in range(1, m.count[e] + 1):
+            v = x.velocity[e, i]
+            o = real(0.0, v.x)
+            zero = type(v)(o, o, o)
+            total = u.effort[e, i]
+            if wp.static(has_tip):
+                total = total + fx.hold[e, i]
+            kind = m.kind[e, i]
+            stiffness = m.stiffness[e, i]
+            damping = fx.damping[e, i]
+            if wp.static(has_joint):
+                if fx.active[e, at_joints] == 1:
+                    j = joint_state(e, i, kind, m, x, JointState(v, v, o, o, o), time, h)
+                    r = joint(e, i, fx, j, Response(zero, zero, o, o))
+                    total = total + r.torque
+                    damping = effective_damping(kind, damping, stiffness, r.stiffness, r.damping, h)
+            if still != MOVING:
+                damping = stiffness * real(h * wp.float64(1.25), o)
+            m.damping[e, i] = damping
+            fx.effort[e, i] = total
+            if wp.static(has_link):
+                fx.wind[e, i] = zero
+                fx.swirl[e, i] = zero
+                if fx.active[e, at_links] == 1 and still != CALM:
+                    blown = strips(e, row, i, m, fx, s, real(time, o))
+                    fx.wind[e, i] = blown.force
+                    fx.swirl[e, i] = blown.moment
+
+    act = wp.func(act, name=f"act_{key}")
+
+    def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64):
+        """Fold as `articulated.fold_links_loaded` does, with the laws' efforts, wrenches and mass."""
+        n = m.count[e]
+        for step in range(n):
+            i = n - step
+            A = own_inertia(e, row, i, m, s)
+            mass = m.mass[e, i]
+            pose = s.pose[row, i]
+            mc = rotate(pose, m.com[e, i]) * mass
+            if wp.static(has_tip):
+                if i == fx.tip:
+                    extra = fx.parameter[e, tip_slot * fx.stride]
+                    like = real(0.0, extra)
+                    arm = type(mc)(
+                        real(fx.tip_point[0], like), real(fx.tip_point[1], like), real(fx.tip_point[2], like)
+                    )
+                    arm = rotate(pose, arm)
+                    A = A + skew_square(arm, A) * extra
+                    mass = mass + extra
+                    mc = mc + arm * extra
+            B = skew(mc, s.U[row, i])
+            pushed = u.force[e, i]
+            f = own_force(row, i, s, mass, mc) - pushed
+            n0 = add_cross(own_moment(row, i, s, A, mc), pushed, rotate(pose, u.point[e, i]))
+            if wp.static(has_link):
+                f = f - fx.wind[e, i]
+                n0 = n0 - fx.swirl[e, i]
+            fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + fx.effort[e, i])
+
+    fold = wp.func(fold, name=f"fold_{key}")
+
+    def advance(
+        e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, bound: wp.float64,
+        still: int,
+    ):  # fmt: skip
+        """Take one semi-implicit step of length h [s] at an absolute time [s], all terms included."""
+        place_root(e, row, m, s)
+        place_links(e, row, m, x, s)
+        act(e, row, m, x, u, fx, s, h, time, still)
+        fold(e, row, m, x, u, fx, s, h)
+        advance_links(e, row, m, x, s, h, bound)
+        x.tick[e] = x.tick[e] + 1
+
+    return SimpleNamespace(types=t, key=key, advance=wp.func(advance, name=f"advance_{key}"), joint=joint, force=force,
+                           has_tip=has_tip, tip_slot=tip_slot)  # fmt: skip

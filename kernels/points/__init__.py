@@ -1,0 +1,4 @@
+"""Clouds of points: drawing them, embeddings, nearest distances, ray-traced pictures.
+
+Uses: `kernels.lanes`.
+"""

@@ -1,0 +1,342 @@
+"""Points on capsules and cylinders, as a camera would see them: three clouds a world, drawn anew at every tick.
+
+A capsule of radius r whose axis has length L has the area 2 pi r (L + 2 r), and equal lengths of its whole extent from
+-r to L + r carry equal areas (Archimedes' hat-box theorem holds for the caps). So one number in (0, area of all
+capsules) picks a capsule, in proportion to its area, and the place along its axis together; a second one
+is the angle about it.
+
+The first numbers are drawn in ascending order: with E_0 ... E_N exponential, (E_0 + ... + E_i) / (E_0 + ... + E_N) are
+the order statistics of N independent uniform numbers (Devroye, Non-Uniform Random Variate Generation, 1986, V.2.1). As
+a set the points are independent; in memory neighbours are neighbours in space, so that 8 or 16 of them have a small box
+and most pairs of boxes need no look at their points. Everything computed from a cloud is symmetric in its points.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from ..lanes.across import (
+    below,
+    centred_low,
+    cosine_pi,
+    greatest,
+    key_of,
+    least,
+    log_,
+    max_,
+    min_,
+    row_greatest,
+    row_least,
+    running_sum,
+    sine_pi,
+    uniform_high,
+)
+from ..lanes.real import SOURCE, add, div, fma, fnma, lane, mul, real, real_type, sqrt_, sub, where_neg
+
+__all__ = ["BRANCHES", "NOWHERE", "NUM_CLOUDS", "ROBOT", "TARGET", "cloud_types", "sample_kernel"]
+
+ROBOT = wp.constant(0)
+TARGET = wp.constant(1)
+BRANCHES = wp.constant(2)
+NUM_CLOUDS = 3
+
+#: Hashes set aside for a point of a cloud: level and angle, level N (one a cloud), and two pairs of normal numbers.
+STREAMS = wp.constant(4)
+LAST_LEVEL = wp.constant(1)
+NOISE_XY = wp.constant(2)
+NOISE_Z = wp.constant(3)
+
+TWO_PI = wp.constant(6.283185307179586)
+NOWHERE = wp.constant(1.0e18)  # m, where the box of a chunk that does not exist begins
+FAR_EDGE = wp.constant(1.0e30)
+
+
+@wp.struct
+class Shapes:
+    """Capsules to draw points on, per world; radius 0 is none. Ends [m] of axes, world axes."""
+
+    start: wp.array2d(dtype=wp.vec3)
+    end: wp.array2d(dtype=wp.vec3)
+    radius: wp.array2d(dtype=wp.float32)
+
+
+@cache
+def cloud_types(width: int = 1) -> SimpleNamespace:
+    """Return the struct Clouds for a lane width: ``width`` points of a world fill a chunk.
+
+    Rows are worlds, of all on a GPU, of those that CPU threads are at on a CPU.
+
+    ``point`` [rows, clouds, 3, chunks] in m and ``flat`` [rows, clouds, 3, points] are one memory; ``near``
+    [rows, chunks] is 1 for branch points near the target; ``bound`` and ``box`` (one memory) hold the least and the
+    greatest coordinates of chunks [rows, clouds, 6, ...], whole lanes of them, and then those of the groups of
+    ``width`` chunks; ``present`` [rows, clouds] is 0 for a cloud without points.
+    """
+    Real = real_type(width)
+
+    @wp.struct
+    class Clouds:
+        point: wp.array4d(dtype=Real)
+        flat: wp.array4d(dtype=wp.float32)
+        near: wp.array2d(dtype=Real)
+        box: wp.array4d(dtype=Real)
+        bound: wp.array4d(dtype=wp.float32)
+        present: wp.array2d(dtype=int)
+
+    return SimpleNamespace(Real=Real, Clouds=Clouds)
+
+
+@wp.func
+def capsule_area(r: float, length: float, cap: float):
+    """2 pi r (L + 2 r cap) [m^2]: ``cap`` is 1 with round ends, 0 for the side alone; 0 where r is not above 0."""
+    return TWO_PI * wp.max(r, 0.0) * (length + 2.0 * r * cap)
+
+
+@wp.func
+def across(d: wp.vec3):
+    """A unit vector square to the unit vector d (Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6 (1))."""
+    sign = wp.where(d[2] < 0.0, -1.0, 1.0)
+    a = -1.0 / (sign + d[2])
+    return wp.vec3(1.0 + sign * d[0] * d[0] * a, sign * d[0] * d[1] * a, -sign * d[0])
+
+
+@wp.func
+def frame_of(axis: wp.vec3, length: float):
+    """Columns d, n1, n2: the direction of an axis (z for a point) and two unit vectors square to it."""
+    d = wp.vec3(0.0, 0.0, 1.0)
+    if length > 0.0:
+        d = axis * (1.0 / length)
+    n1 = across(d)
+    return wp.matrix_from_cols(d, n1, wp.cross(d, n1))
+
+
+@wp.func
+def on_capsule(
+    ahead: Any, cosine: Any, sine: Any, start: wp.vec3, frame: wp.mat33, length: float, r: float, cap: float
+):
+    """Points of a capsule's surface whose levels are ``ahead`` of the capsule's first:
+
+    a = ahead / (2 pi r) - r cap,  p = start + a d + rho (cos phi n1 + sin phi n2),
+    rho^2 = r^2 - (how far a lies beyond the axis)^2
+    """
+    zero = real(0.0, ahead)
+    a = fma(ahead, real(1.0 / (TWO_PI * r), ahead), real(-r * cap, ahead))
+    over = a - min_(max_(a, zero), real(length, ahead))
+    rho = sqrt_(max_(fnma(over, over, real(r * r, ahead)), zero))
+    u = rho * cosine
+    v = rho * sine
+    x = fma(a, real(frame[0, 0], a), fma(u, real(frame[0, 1], a), fma(v, real(frame[0, 2], a), real(start[0], a))))
+    y = fma(a, real(frame[1, 0], a), fma(u, real(frame[1, 1], a), fma(v, real(frame[1, 2], a), real(start[1], a))))
+    z = fma(a, real(frame[2, 0], a), fma(u, real(frame[2, 1], a), fma(v, real(frame[2, 2], a), real(start[2], a))))
+    return x, y, z
+
+
+@wp.func
+def direction(h: Any):
+    """cos and sin of the angle 2 pi h, h in (-1/2, 1/2)."""
+    s = sine_pi(h)
+    return fnma(s, s + s, real(1.0, h)), (s + s) * cosine_pi(h)
+
+
+@wp.func
+def draw_levels(key: wp.uint32, n: int, lanes: int, x: Any, y: Any, z: Any):
+    """Put running sums of exponential numbers into x, cos and sin of angles into y, z; return the sum of one more."""
+    zero = real(0.0, x[0])
+    reached = wp.float32(0.0)
+    j = wp.int32(0)
+    while j < x.shape[0]:
+        level = running_sum(zero - log_(uniform_high(key, n + j * lanes, zero))) + reached
+        cosine, sine = direction(centred_low(key, n + j * lanes, zero))
+        x[j] = level
+        y[j] = cosine
+        z[j] = sine
+        reached = lane(level, lanes - 1)
+        j = j + 1
+    return reached - log_(uniform_high(key, n + LAST_LEVEL * x.shape[0] * lanes, 0.0))
+
+
+@wp.func
+def measure_shapes(w: int, s: Shapes, first: int, last: int, cap: float):
+    """Return the area of shapes first ... last - 1 of world w and which is the last that has any, -1 for none."""
+    total = wp.float32(0.0)
+    final = wp.int32(-1)
+    for i in range(first, last):
+        area = capsule_area(s.radius[w, i], wp.length(s.end[w, i] - s.start[w, i]), cap)
+        if area > 0.0:
+            total = total + area
+            final = i
+    return total, final
+
+
+@wp.func
+def spread_points(
+    w: int, s: Shapes, first: int, last: int, cap: float, row: int, k: int, key: wp.uint32, lanes: int, c: Any
+):
+    """Draw points on shapes first ... last - 1 of world w into cloud k of a row.
+
+    Shapes come in their order, and so do levels: a chunk is finished by the shape that its last point is on, and stored
+    then (a store of some lanes is slow on a CPU).
+    """
+    total, final = measure_shapes(w, s, first, last, cap)
+    c.present[row, k] = wp.where(final < 0, 0, 1)
+    xs = c.point[row, k, 0]
+    ys = c.point[row, k, 1]
+    zs = c.point[row, k, 2]
+    chunks = xs.shape[0]
+    scale = total / draw_levels(key, k * STREAMS * chunks * lanes, lanes, xs, ys, zs)
+    j = wp.int32(0)
+    level = xs[0] * scale
+    x = level
+    y = level
+    z = level
+    edge = wp.float32(0.0)
+    for i in range(first, final + 1):
+        r = s.radius[w, i]
+        start = s.start[w, i]
+        axis = s.end[w, i] - start
+        length = wp.length(axis)
+        area = capsule_area(r, length, cap)
+        if area > 0.0:
+            frame = frame_of(axis, length)
+            start_level = edge
+            edge = wp.where(i == final, FAR_EDGE, edge + area)
+            while j < chunks:
+                ahead = level - start_level
+                px, py, pz = on_capsule(ahead, ys[j], zs[j], start, frame, length, r, cap)
+                x = where_neg(ahead, x, px)
+                y = where_neg(ahead, y, py)
+                z = where_neg(ahead, z, pz)
+                if lane(level, lanes - 1) >= edge:
+                    break
+                xs[j] = x
+                ys[j] = y
+                zs[j] = z
+                j = j + 1
+                if j < chunks:
+                    level = xs[j] * scale
+
+
+@wp.func
+def normal_pair(key: wp.uint32, n: int, variance: float, like: Any):
+    """sqrt(-2 variance log u) times cos and sin of 2 pi v (Box and Muller), u and v of 16 bits: within 4.9 sigma."""
+    size = sqrt_(log_(uniform_high(key, n, like)) * (-2.0 * variance))
+    cosine, sine = direction(centred_low(key, n, like))
+    return size * cosine, size * sine
+
+
+@wp.func
+def add_noise(row: int, k: int, sigma: float, key: wp.uint32, lanes: int, c: Any):
+    """Move every coordinate of every point by Gaussian noise of deviation sigma [m].
+
+    Three pairs of normal numbers serve two points, one of each half of the cloud; a half is whole chunks of 16.
+    """
+    x = c.point[row, k, 0]
+    y = c.point[row, k, 1]
+    z = c.point[row, k, 2]
+    chunks = x.shape[0]
+    half = 16 * ((chunks * lanes + 31) // 32) // lanes
+    first_xy = (k * STREAMS + NOISE_XY) * chunks * lanes
+    first_z = (k * STREAMS + NOISE_Z) * chunks * lanes
+    variance = sigma * sigma
+    zero = real(0.0, x[0])
+    j = wp.int32(0)
+    while j < half:
+        other = j + half
+        up, up_other = normal_pair(key, first_z + j * lanes, variance, zero)
+        east, north = normal_pair(key, first_xy + j * lanes, variance, zero)
+        x[j] = x[j] + east
+        y[j] = y[j] + north
+        z[j] = z[j] + up
+        if other < chunks:
+            east, north = normal_pair(key, first_xy + other * lanes, variance, zero)
+            x[other] = x[other] + east
+            y[other] = y[other] + north
+            z[other] = z[other] + up_other
+        j = j + 1
+
+
+@wp.func
+def bound_chunks(row: int, k: int, lanes: int, c: Any):
+    """Note the least and the greatest coordinates of every chunk, and after them of every ``across`` chunks."""
+    chunks = c.point.shape[3]
+    groups = (chunks + lanes - 1) // lanes
+    like = c.point[row, k, 0, 0]
+    for m in range(3):
+        p = c.flat[row, k, m]
+        for g in range(groups):
+            count = wp.min(chunks - g * lanes, lanes)
+            low = row_least(p, g * lanes * lanes, count, NOWHERE, like)
+            high = row_greatest(p, g * lanes * lanes, count, -NOWHERE, like)
+            c.box[row, k, m, g] = low
+            c.box[row, k, 3 + m, g] = high
+            c.bound[row, k, m, groups * lanes + g] = least(low)
+            c.bound[row, k, 3 + m, groups * lanes + g] = greatest(high)
+
+
+@wp.func
+def mark_near(w: int, s: Shapes, zoom: float, row: int, k: int, c: Any):
+    """Mark the points that lie nearer than ``zoom`` [m] to the axis of one of the shapes, a segment."""
+    for j in range(c.point.shape[3]):
+        px = c.point[row, k, 0, j]
+        py = c.point[row, k, 1, j]
+        pz = c.point[row, k, 2, j]
+        o = real(0.0, px)
+        found = o
+        for i in range(s.radius.shape[1]):
+            start = s.start[w, i]
+            axis = s.end[w, i] - start
+            x = px - start[0]
+            y = py - start[1]
+            z = pz - start[2]
+            along = fma(z, real(axis[2], o), fma(y, real(axis[1], o), x * axis[0]))
+            u = min_(max_(along * (1.0 / wp.max(wp.dot(axis, axis), 1.0e-12)), o), real(1.0, o))
+            x = fnma(u, real(axis[0], o), x)
+            y = fnma(u, real(axis[1], o), y)
+            z = fnma(u, real(axis[2], o), z)
+            found = max_(found, below(fma(z, z, fma(y, y, x * x)), real(zoom * zoom, o)))
+        c.near[row, j] = found
+
+
+@cache
+def sample_kernel(width: int = 1) -> Any:
+    """Return the kernel that draws all clouds, thread (world, cloud): robot and branch capsules, and the target.
+
+    ``max_noise_in`` [worlds] is three deviations of the noise [m], ``tick_in`` [worlds] counts the draws.
+    """
+    t = cloud_types(width)
+    Clouds, W = t.Clouds, width
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def sample(
+        capsules_in: Shapes, num_arm: int, target_in: Shapes, cap: float, zoom: float, seed: int,
+        tick_in: wp.array(dtype=int), max_noise_in: wp.array(dtype=wp.float32), first: int, first_row: int,
+        c_out: Clouds,
+    ):  # fmt: skip
+        tag = SOURCE  # noqa: F841
+        i = wp.int32(0)
+        k = wp.int32(0)
+        if wp.static(W > 1):
+            i, k = wp.tid()
+        else:
+            k, i = wp.tid()  # neighbouring threads are neighbouring worlds
+        w = first + i
+        row = first_row + i
+        key = key_of(seed, w, tick_in[w])
+        shapes = capsules_in
+        begin = wp.where(k == BRANCHES, num_arm, 0)
+        end = wp.where(k == ROBOT, num_arm, shapes.radius.shape[1])
+        ends = wp.float32(1.0)
+        if k == TARGET:  # one call for all clouds: code that is there three times does not stay in a cache
+            shapes = target_in
+            end = shapes.radius.shape[1]
+            ends = cap
+        spread_points(w, shapes, begin, end, ends, row, k, key, W, c_out)
+        if max_noise_in[w] > 0.0:
+            add_noise(row, k, max_noise_in[w] / 3.0, key, W, c_out)
+        if k == BRANCHES:
+            mark_near(w, target_in, zoom, row, k, c_out)
+        if wp.static(W > 1):
+            bound_chunks(row, k, W, c_out)
+
+    return sample

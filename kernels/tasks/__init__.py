@@ -1,0 +1,4 @@
+"""Kernels of tasks: placing a scene, rewards, observations.
+
+Uses: `kernels.lanes`.
+"""

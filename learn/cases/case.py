@@ -1,0 +1,357 @@
+"""Measured cases: a folder with ``meta.yaml`` and one CSV per trajectory, loaded strictly.
+
+Whatever a case states that cannot be so ends in one `InputError` that names file, place, finding and what is allowed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...sim.base.errors import InputError
+from ...sim.base.strict_yaml import YamlFile
+from ...sim.base.types import Array
+from ...sim.trees.measured import MeasuredBranch
+from .columns import Columns, check_clock, read_columns, resampled
+from .joints import JointSetup, check_joint_meta, joint_setup
+from .schema import BranchMeta, BranchTrajectoryMeta, GraspMeta, JointMeta, JointTrajectoryMeta, read_meta
+
+BRANCH_COLUMNS = ("t_s", "fx_N", "fy_N", "fz_N", "x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps")
+MAX_FORCE = 1e5
+"""Largest force component believed [N]."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What every recording has.
+
+    Attributes:
+        file: Name of its file in the case folder.
+        t: Time since its first sample, uniform [s], shape [T].
+        t_start: When it starts on the case's one absolute clock [s].
+        replicate_of: Index (from 0) of the trajectory it repeats, or None.
+    """
+
+    file: str
+    t: Array
+    t_start: float
+    replicate_of: int | None
+
+
+@dataclass(frozen=True)
+class BranchTrajectory(Trajectory):
+    """One recording of a branch held at its grasp point, world frame, z up.
+
+    Attributes:
+        force: Force of the arm on the branch as the sensor records it [N], shape [T, 3].
+        displacement: Displacement of the grasp point from its calm rest position [m], shape [T, 3].
+        velocity: Velocity of the grasp point [m/s], shape [T, 3].
+        no_contact: Whether the gripper is known to be open, so that the true force is zero, shape [T].
+        profile: Name of the force profile, may be empty.
+        direction: Direction of the profile, shape [3], or None.
+        grasp_segment: Index of the segment held in this recording.
+        grasp_distance: Distance of the grasp point from that segment's lower end [m].
+    """
+
+    force: Array
+    displacement: Array
+    velocity: Array
+    no_contact: NDArray[np.bool_]
+    profile: str
+    direction: Array | None
+    grasp_segment: int
+    grasp_distance: float
+
+    @property
+    def grasp(self) -> tuple[int, Array]:
+        """Link that is held and the grasp point in its body frame [m], shape [3]."""
+        return self.grasp_segment, np.array([0.0, 0.0, self.grasp_distance])
+
+
+@dataclass(frozen=True)
+class JointTrajectory(Trajectory):
+    """One recording of joints.
+
+    Attributes:
+        effort: Generalised forces on the driven joints [N m or N], columns as in `JointCase.inputs`, shape [T, I].
+        output: Measured quantities, scaled, columns as in `JointCase.outputs`, shape [T, C].
+    """
+
+    effort: Array
+    output: Array
+
+
+@dataclass(frozen=True)
+class BranchCase(MeasuredBranch):
+    """A branch probed at a grasp point (``branch-gap-case/1``): its geometry and what was recorded.
+
+    Attributes:
+        folder: Where it was loaded from.
+        dt: Sampling step [s].
+        trajectories: Recordings in time order.
+        noise_nominal: Stated noise as a fraction of channel RMS, or None.
+        planar: Whether everything happens in the x-z plane.
+        density: Density of the wood [kg/m^3].
+        trunk_pivot_below_base: Where a trunk joint would sit if the trunk moved [m], or None.
+        warnings: What is odd but possible, one line each.
+    """
+
+    folder: Path
+    dt: float
+    trajectories: tuple[BranchTrajectory, ...]
+    noise_nominal: float | None
+    planar: bool
+    density: float
+    trunk_pivot_below_base: float | None
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class JointCase(JointSetup):
+    """Joints measured directly (``joint-gap-case/1``): the mechanism and what was recorded.
+
+    Attributes:
+        name: Name of the case.
+        folder: Where it was loaded from.
+        dt: Sampling step [s].
+        trajectories: Recordings.
+        noise_nominal: Stated noise as a fraction of channel RMS, or None.
+        train: Indices (from 0) of the trajectories to learn from, or None if the case does not say.
+        test: Indices of the trajectories to test on, or None.
+        warnings: What is odd but possible, one line each.
+    """
+
+    name: str
+    folder: Path
+    dt: float
+    trajectories: tuple[JointTrajectory, ...]
+    noise_nominal: float | None
+    train: tuple[int, ...] | None
+    test: tuple[int, ...] | None
+    warnings: tuple[str, ...]
+
+
+def load_case(folder: str | Path) -> BranchCase | JointCase:
+    """Load a case folder of either form.
+
+    Raises:
+        InputError: The folder is missing, empty or unreadable; ``meta.yaml`` or a CSV breaks the format, contradicts
+            itself or states what cannot be (see `schema`, `columns` and the checks in this module).
+    """
+    place = Path(folder)
+    meta, file = read_meta(_meta_path(place))
+    _check_trajectories(meta, file)
+    if isinstance(meta, BranchMeta):
+        return _load_branch(place, meta, file)
+    return _load_joints(place, meta, file)
+
+
+def _meta_path(folder: Path) -> Path:
+    allowed = "a case folder with meta.yaml and CSV files"
+    try:
+        names = sorted(item.name for item in folder.iterdir())
+    except FileNotFoundError:
+        raise InputError(folder, "", "no such folder", allowed) from None
+    except NotADirectoryError:
+        raise InputError(folder, "", "a file", allowed) from None
+    except PermissionError:
+        raise InputError(folder, "", "a folder without permission to read", "a readable folder") from None
+    if "meta.yaml" not in names:
+        raise InputError(folder, "meta.yaml", f"only {', '.join(names[:5])}" if names else "an empty folder", allowed)
+    return folder / "meta.yaml"
+
+
+def _check_trajectories(meta: BranchMeta | JointMeta, file: YamlFile) -> None:
+    """Check what both forms share: files inside the folder and used once, replicates of earlier recordings."""
+    used: list[tuple[str, Sequence[float]]] = []
+    items: Sequence[BranchTrajectoryMeta | JointTrajectoryMeta] = meta.trajectories
+    for i, item in enumerate(items):
+        path = Path(item.file)
+        if path.is_absolute() or ".." in path.parts:
+            raise file.error(["trajectories", i, "file"], repr(item.file), "a file inside the case folder")
+        rows = getattr(item, "rows", None) or (0, np.inf)
+        if any(item.file == other and rows[0] < stop and start < rows[1] for other, (start, stop) in used):
+            raise file.error(["trajectories", i, "file"], f"{item.file} a second time", "each recording once")
+        used.append((item.file, rows))
+        original = item.replicate_of
+        if original is None:
+            continue
+        if not 1 <= original <= len(meta.trajectories) or original == i + 1:
+            found = "itself" if original == i + 1 else f"trajectory {original}"
+            allowed = f"null, or another trajectory (1 to {len(meta.trajectories)})"
+            raise file.error(["trajectories", i, "replicate_of"], found, allowed)
+
+
+def _load_branch(folder: Path, meta: BranchMeta, file: YamlFile) -> BranchCase:
+    warnings = _check_segments(meta, file)
+    names = [s.name for s in meta.segments]
+    segments = meta.segments
+    return BranchCase(
+        name=meta.name or folder.resolve().name,
+        segment_name=tuple(names),
+        length=np.array([s.length_m for s in segments]),
+        radius=np.array([[s.radius_base_m, s.radius_tip_m] for s in segments]),
+        elevation=np.radians([s.elevation_deg for s in segments]),
+        azimuth=np.radians([s.azimuth_deg for s in segments]),
+        mass=np.array([s.mass_kg for s in segments]),
+        base_position=np.array(meta.base_position_m, dtype=np.float64),
+        gravity=float(meta.gravity_mps2),
+        grasp_segment=names.index(meta.grasp.segment),
+        grasp_distance=float(meta.grasp.distance_from_lower_end_m),
+        folder=folder,
+        dt=1.0 / meta.sample_rate_hz,
+        trajectories=tuple(_branch_trajectory(folder, meta, file, i) for i in range(len(meta.trajectories))),
+        noise_nominal=meta.noise_nominal,
+        planar=meta.planar,
+        density=float(meta.density_kgpm3),
+        trunk_pivot_below_base=meta.trunk_pivot_below_base_m,
+        warnings=tuple(warnings),
+    )
+
+
+def _check_segments(meta: BranchMeta, file: YamlFile) -> list[str]:
+    """Check geometry, grasp point and order in time; return warnings."""
+    warnings = []
+    names = [s.name for s in meta.segments]
+    for i, s in enumerate(meta.segments):
+        here: list[str | int] = ["segments", i]
+        if s.name in names[:i]:
+            raise file.error([*here, "name"], f"{s.name} a second time", "unique names")
+        for key in ("radius_base_m", "radius_tip_m"):
+            if getattr(s, key) >= s.length_m:
+                found = f"{getattr(s, key):g} in a segment of {s.length_m:g} m"
+                raise file.error([*here, key], found, "less than the length, in metres")
+        a, b = s.radius_base_m, s.radius_tip_m
+        wood = np.pi * s.length_m * (a * a + a * b + b * b) / 3 * meta.density_kgpm3
+        text = f"{s.mass_kg:g} kg where length, radii and density give {wood:.3g} kg"
+        if not 0.1 < s.mass_kg / wood < 10:
+            raise file.error([*here, "mass_kg"], text, "within a factor of ten of that")
+        if not 1 / 3 < s.mass_kg / wood < 3:
+            warnings.append(f"{file.path}: segment {s.name}: {text}")
+    _check_grasp(meta, file, ["grasp"], meta.grasp)
+    for i, item in enumerate(meta.trajectories):
+        if item.grasp is not None:
+            _check_grasp(meta, file, ["trajectories", i, "grasp"], item.grasp)
+    for i, (before, after) in enumerate(pairwise(meta.trajectories)):
+        end = before.t_start_s + (meta.n_samples - 1) / meta.sample_rate_hz
+        if after.t_start_s < end:
+            found = f"{after.t_start_s:g} s, where trajectory {i + 1} lasts until {end:g} s"
+            raise file.error(["trajectories", i + 1, "t_start_s"], found, "trajectories one after the other in time")
+    return warnings
+
+
+def _check_grasp(meta: BranchMeta, file: YamlFile, here: list[str | int], grasp: GraspMeta) -> None:
+    lengths = {s.name: s.length_m for s in meta.segments}
+    if grasp.segment not in lengths:
+        raise file.error([*here, "segment"], repr(grasp.segment), f"one of {', '.join(lengths)}")
+    if grasp.distance_from_lower_end_m > lengths[grasp.segment]:
+        found = f"{grasp.distance_from_lower_end_m:g}"
+        allowed = f"0 to {lengths[grasp.segment]:g}, the segment's length"
+        raise file.error([*here, "distance_from_lower_end_m"], found, allowed)
+
+
+def _branch_trajectory(folder: Path, meta: BranchMeta, file: YamlFile, index: int) -> BranchTrajectory:
+    item = meta.trajectories[index]
+    grasp = item.grasp or meta.grasp
+    columns = read_columns(folder / item.file, BRANCH_COLUMNS, exact=True)
+    data = columns.values
+    if len(data) != meta.n_samples:
+        raise InputError(columns.path, "", f"{len(data)} rows", f"n_samples of meta.yaml, {meta.n_samples}")
+    check_clock(columns, meta.sample_rate_hz)
+    reach = 2 * sum(s.length_m for s in meta.segments)
+    _check_size(columns, slice(1, 4), MAX_FORCE, f"at most {MAX_FORCE:g} N in size")
+    _check_size(columns, slice(4, 7), reach, f"at most {reach:.3g} m in size, twice the branch's length")
+    if meta.planar:
+        _check_size(columns, slice(2, 9, 3), 1e-9, "0 in the y columns of a planar case")
+    return BranchTrajectory(
+        file=item.file,
+        t=np.arange(len(data)) / meta.sample_rate_hz,
+        t_start=float(item.t_start_s),
+        replicate_of=None if item.replicate_of is None else item.replicate_of - 1,
+        force=data[:, 1:4].copy(),
+        displacement=data[:, 4:7].copy(),
+        velocity=data[:, 7:10].copy(),
+        no_contact=_no_contact(data[:, 0], item.no_contact, file, index),
+        profile=item.profile,
+        direction=None if item.direction is None else np.array(item.direction, dtype=np.float64),
+        grasp_segment=[s.name for s in meta.segments].index(grasp.segment),
+        grasp_distance=float(grasp.distance_from_lower_end_m),
+    )
+
+
+def _check_size(columns: Columns, which: slice, limit: float, allowed: str) -> None:
+    block = np.abs(columns.values[:, which])
+    if block.max() > limit:
+        row, column = np.argwhere(block > limit)[0]
+        name = columns.names[which][column]
+        value = columns.values[row, columns.names.index(name)]
+        raise InputError(columns.path, columns.place(int(row), name), f"{value:g}", allowed)
+
+
+def _no_contact(t: Array, intervals: list[list[float]], file: YamlFile, index: int) -> NDArray[np.bool_]:
+    """Mark the samples inside the intervals [s], both ends included, shape [T].
+
+    An interval from a time after the last sample to the end of the recording is empty: contact lasted to the end.
+    """
+    mask = np.zeros(len(t), dtype=bool)
+    slack = 1e-6 + 1e-9 * abs(t[-1])
+    half_step = (t[-1] - t[0]) / (len(t) - 1) / 2
+    for i, (start, stop) in enumerate(intervals):
+        here: list[str | int] = ["trajectories", index, "no_contact", i]
+        found = f"[{start:g}, {stop:g}]"
+        if start > t[-1] and abs(stop - t[-1]) < half_step:
+            continue
+        if stop < start:
+            raise file.error(here, found, "an interval that starts before it ends")
+        if start < t[0] - half_step or stop > t[-1] + half_step:
+            raise file.error(here, found, f"an interval inside the recording, {t[0]:g} to {t[-1]:g} s")
+        mask |= (t >= start - slack) & (t <= stop + slack)
+    return mask
+
+
+def _load_joints(folder: Path, meta: JointMeta, file: YamlFile) -> JointCase:
+    check_joint_meta(meta, file, folder)
+    loaded = [_joint_trajectory(folder, meta, item) for item in meta.trajectories]
+    dt = max(loaded, key=lambda pair: len(pair[0].t))[1]
+    for (trajectory, own), item in zip(loaded, meta.trajectories, strict=True):
+        if abs(own - dt) * len(trajectory.t) > 0.5 * dt:
+            path, found = folder / item.file, f"a sample every {own:.9g} s"
+            raise InputError(path, f"column {meta.time_column}", found, f"{dt:.9g} s as in the other trajectories")
+    setup = joint_setup(meta, file, folder, dt)
+    return JointCase(
+        **vars(setup),
+        name=meta.name or folder.resolve().name,
+        folder=folder,
+        dt=dt,
+        trajectories=tuple(trajectory for trajectory, _ in loaded),
+        noise_nominal=meta.noise_nominal,
+        train=tuple(i - 1 for i in meta.split.train) if meta.split else None,
+        test=tuple(i - 1 for i in meta.split.test) if meta.split else None,
+        warnings=(),
+    )
+
+
+def _joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) -> tuple[JointTrajectory, float]:
+    """Read one recording; return it and its own time step [s]."""
+    inputs = meta.input or []
+    names = list(dict.fromkeys([meta.time_column, *(i.column for i in inputs), *(o.column for o in meta.outputs)]))
+    rows = (item.rows[0], item.rows[1]) if item.rows else None
+    columns = read_columns(folder / item.file, tuple(names), exact=False, rows=rows)
+    columns = columns if meta.resample_hz is None else resampled(columns, meta.resample_hz)
+    step = check_clock(columns)
+    by_name = dict(zip(names, columns.values.T, strict=True))
+    efforts = [by_name[i.column] * i.scale for i in inputs]
+    trajectory = JointTrajectory(
+        file=item.file,
+        t=step * np.arange(len(columns.values), dtype=np.float64),
+        t_start=float(item.t_start_s),
+        replicate_of=None if item.replicate_of is None else item.replicate_of - 1,
+        effort=np.stack(efforts, axis=-1) if efforts else np.zeros((len(columns.values), 0)),
+        output=np.stack([by_name[o.column] * o.scale for o in meta.outputs], axis=-1),
+    )
+    return trajectory, step

@@ -1,0 +1,260 @@
+"""Learning the springs of a recorded case, predicting what was held out, and saying so in a report."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ...sim.base.errors import InputError
+from ...sim.base.files import output_folder
+from ...sim.base.types import Array
+from ...version import __version__
+from ..cases.case import BranchCase, JointCase, load_case
+from ..cases.noise import NoiseEstimate
+from ..priors.choose import make_prior
+from ..replay.equation_error import noise_of, recordings_of, thinned
+from ..replay.recording import Recording
+from ..runs.checkpoint import Checkpoint, digest
+from ..runs.threads import one_thread
+from ..systems.choose import system_of
+from ..systems.model_file import model_of
+from .outcome import Outcome
+from .posterior import Posterior, infer
+from .predict import Prediction, pooled, predict
+from .settings import Settings
+from .target import Target
+
+Progress = Callable[[str, int], None]
+#: No sensor on a branch is taken for finer than this share of what it reads; exact data would rank rounding errors.
+FINEST = 1e-4
+
+
+def split(case: BranchCase | JointCase) -> tuple[list[int], list[int]]:
+    """Return indices of the trajectories to learn from and to hold out.
+
+    As the case says, where it does. Else about a quarter is held out: the last trajectories that no other repeats and
+    that repeat no other, so that what is held out was seen in no form. A single recording of torques is fitted and
+    judged as a whole: its samples are thousands of experiments.
+
+    Raises:
+        InputError: There are fewer than two trajectories.
+    """
+    count = len(case.trajectories)
+    if isinstance(case, JointCase) and case.train is not None and case.test is not None:
+        return list(case.train), list(case.test)
+    if count == 1 and isinstance(case, JointCase) and case.fit == "torque":
+        return [0], [0]
+    if count < 2:
+        raise InputError(case.folder / "meta.yaml", "trajectories", f"{count}", "two or more: one is held out")
+    original = {t.replicate_of for t in case.trajectories}
+    single = [i for i, t in enumerate(case.trajectories) if t.replicate_of is None and i not in original]
+    held = (single or list(range(count)))[-max(1, count // 4) :]
+    return [i for i in range(count) if i not in held], held
+
+
+def folds(case: BranchCase | JointCase, count: int) -> list[list[int]]:
+    """Return the held-out trajectories of every fold; replicates of one experiment stay together.
+
+    Raises:
+        InputError: There are fewer experiments than folds.
+    """
+    groups: dict[int, list[int]] = {}
+    for i, t in enumerate(case.trajectories):
+        groups.setdefault(i if t.replicate_of is None else t.replicate_of, []).append(i)
+    if len(groups) < count:
+        found = f"{len(groups)} different ones"
+        raise InputError(
+            case.folder / "meta.yaml", "trajectories", found, f"at least as many as the {count} folds of --cv"
+        )
+    ordered = list(groups.values())
+    return [sorted(i for g in ordered[k::count] for i in g) for k in range(count)]
+
+
+def pooled_sigma(case: BranchCase | JointCase, noise: NoiseEstimate) -> Array:
+    """Return the noise of the channels that are predicted, at least `FINEST` of their rms.
+
+    The axes of a branch share one value a kind; across the plane of a planar case it is zero.
+    """
+    if isinstance(case, BranchCase):
+        moved = [np.concatenate([getattr(t, k) for t in case.trajectories]) for k in ("displacement", "velocity")]
+        sigma = (noise.displacement, noise.velocity)
+        return np.concatenate([_pool(case, s, m) for s, m in zip(sigma, moved, strict=True)])
+    return noise.sigma
+
+
+def force_noise(case: BranchCase | JointCase, noise: NoiseEstimate) -> Array | None:
+    """Return the noise of a branch's force [N], shape [3], one value for all axes; None for joints."""
+    if not isinstance(case, BranchCase):
+        return None
+    return _pool(case, noise.force, np.concatenate([t.force for t in case.trajectories]))
+
+
+def _pool(case: BranchCase, sigma: Array, measured: Array) -> Array:
+    axes = np.array([1.0, 0.0 if case.planar else 1.0, 1.0])
+
+    def rms(squares: Array) -> float:
+        return float(np.sqrt(np.sum(axes * squares) / axes.sum()))
+
+    return np.asarray(axes * max(rms(sigma**2), FINEST * rms(np.mean(measured**2, axis=0))))
+
+
+class Identification:
+    """A loaded case with its settings, from which posteriors and predictions are made.
+
+    Args:
+        case: The case.
+        settings: How to identify.
+        checkpoint: Where to keep what has been reached.
+        progress: Called with a stage (``modes``, ``particles``, ``prediction``) and the number of steps done.
+
+    Raises:
+        InputError: The settings do not fit the case, or a trajectory cannot be used.
+    """
+
+    def __init__(
+        self, case: BranchCase | JointCase, settings: Settings, checkpoint: Checkpoint | None = None,
+        progress: Progress = lambda stage, done: None,
+    ) -> None:  # fmt: skip
+        settings.check()
+        self.case, self.settings, self.keep, self.progress = case, settings, checkpoint or Checkpoint(), progress
+        self.noise = noise_of(case)
+        self.sigma, self.force_sigma = pooled_sigma(case, self.noise), force_noise(case, self.noise)
+        self.prior = make_prior(settings.priors, system_of(case, settings.unknowns))
+        self.recordings: list[Recording] = recordings_of(case)
+        self.world_steps, self.simulating = 0, 0.0
+        for j in range(len(self.recordings)):
+            _check_moves(case, j, self.recordings[j])
+
+    def learn(self, train: list[int], name: str) -> Posterior:
+        """Infer the posterior of some trajectories."""
+        s = self.settings
+        chosen = [thinned(self.case, self.recordings[j]) for j in train]
+        target = Target(
+            self.case, chosen, torch.as_tensor(self.sigma), unknowns=s.unknowns, prior=self.prior, loss=s.loss,
+            temperature=s.temperature,
+        )  # fmt: skip
+        posterior = infer(
+            target, method=s.sampler, particles=s.particles, iterations=s.iterations, seed=s.seed,
+            force_sigma=self.force_sigma, checkpoint=self.keep, name=name, progress=self.progress,
+        )  # fmt: skip
+        _check_box(self.case, posterior)
+        self.world_steps += target.world_steps
+        self.simulating += target.simulation_seconds
+        return posterior
+
+    def predict(self, posterior: Posterior, test: list[int]) -> Prediction:
+        """Predict some trajectories."""
+        out = predict(
+            self.case, posterior, [self.recordings[j] for j in test], torch.as_tensor(self.sigma),
+            unknowns=self.settings.unknowns, force_sigma=self.force_sigma,
+        )  # fmt: skip
+        self.progress("prediction", 1)
+        return out
+
+
+def run(
+    case: BranchCase | JointCase, settings: Settings, checkpoint: Checkpoint | None = None,
+    progress: Progress = lambda stage, done: None,
+) -> Outcome:  # fmt: skip
+    """Identify a loaded case and predict its held-out trajectories.
+
+    With folds, every trajectory is predicted from a posterior that has not seen it, and the posterior that is returned
+    has seen all of them.
+
+    Raises:
+        InputError: The settings do not fit the case.
+    """
+    clock = time.perf_counter()
+    work = Identification(case, settings, checkpoint, progress)
+    every, parts, predicting = list(range(len(case.trajectories))), [], 0.0
+    held = folds(case, settings.cv) if settings.cv else []
+    for k, test in enumerate(held):
+        posterior = work.learn([j for j in every if j not in test], f"fold_{k}")
+        began = time.perf_counter()
+        parts.append(work.predict(posterior, test))
+        predicting += time.perf_counter() - began
+    train, test = (every, [j for fold in held for j in fold]) if held else split(case)
+    posterior = work.learn(train, "posterior")
+    began = time.perf_counter()
+    prediction = pooled(parts) if held else work.predict(posterior, test)
+    predicting += time.perf_counter() - began
+    total = time.perf_counter() - clock
+    seconds = {
+        "total": total, "simulating": work.simulating, "predicting": predicting,
+        "inference beside simulation": total - work.simulating - predicting,
+    }  # fmt: skip
+    return Outcome(
+        case, settings, work.noise, work.sigma, train, test, posterior, prediction, work.world_steps, seconds
+    )
+
+
+def _check_moves(case: BranchCase | JointCase, j: int, recording: Recording) -> None:
+    place = case.folder / case.trajectories[j].file
+    if np.ptp(recording.output, axis=0).max() == 0.0:
+        raise InputError(place, "", "no motion in any row", "a trajectory that moves")
+    if isinstance(case, BranchCase) and not recording.input.any():
+        raise InputError(
+            place, "", "no force in any row", "a trajectory with force on the branch, which starts at rest"
+        )
+
+
+def _check_box(case: BranchCase | JointCase, posterior: Posterior) -> None:
+    """Raise `InputError` where all particles lie beyond one end of the prior's box: data and prior contradict."""
+    for p, x in zip(posterior.parameters, posterior.free.T, strict=True):
+        beyond = {p.low: bool((x < p.free(p.low)).all()), p.high: bool((x > p.free(p.high)).all())}
+        for end, all_beyond in beyond.items():
+            if all_beyond:
+                found = f"all particles beyond the end of its box, {end:.4g} {p.unit}"
+                allowed = f"data that agree with the box, or a wider one (--box {p.name.split(' ')[0]}=LOW:HIGH)"
+                raise InputError(case.folder, p.name, found, allowed)
+
+
+def identify(
+    given: BranchCase | JointCase | str | Path, out: str | Path, settings: Settings, *,
+    model: str | Path | None = None, resume: bool = False, progress: Progress = lambda s, d: None,
+) -> Outcome:  # fmt: skip
+    """Identify a case, as loaded or by its folder, and write posterior, report and figures into ``out``.
+
+    The effects of ``model``, a ``model.yaml`` of the same branch, act with the parameters that it gives; its springs
+    and dampers are not used.
+
+    What has been reached is kept in a hidden folder beside ``out`` until the run ends, so that ``resume`` goes on with
+    a killed one to the same bits (on one machine's CPU).
+
+    Raises:
+        InputError: The case, the settings or the model cannot be used; nothing is written then.
+    """
+    target = Path(out)
+    with output_folder(target) as work:
+        case = given if isinstance(given, BranchCase | JointCase) else load_case(given)
+        settings.check()
+        if model is not None:
+            settings = replace(settings, effects=model_of(model, case).effects)
+        keep = Checkpoint(target.absolute().parent / f".{target.name}.unfinished", _key(case, settings, model))
+        keep.open(resume)
+        try:
+            with one_thread():
+                outcome = run(case, settings, keep, progress)
+        except InputError:
+            keep.close()
+            raise
+        from ..reports.page import write_report  # matplotlib, once there is something to show
+        from .report import content, summary
+
+        outcome.posterior.save(work / "posterior.npz")
+        (work / "report.json").write_text(json.dumps(summary(outcome), indent=2) + "\n")
+        write_report(work, content(outcome))
+    keep.close()
+    return outcome
+
+
+def _key(case: BranchCase | JointCase, settings: Settings, model: str | Path | None) -> str:
+    earlier = [Path(p).read_bytes() for p in settings.prior if p.endswith(".npz") and Path(p).is_file()]
+    given = None if model is None else Path(model).read_bytes()
+    return digest(case.folder, settings, earlier, given, __version__)

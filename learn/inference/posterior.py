@@ -1,0 +1,321 @@
+"""From a target to particles: modes first, then a sampler in coordinates whitened at the best of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ...sim.base.errors import InputError
+from ...sim.base.types import Array
+from ..cases.case import BranchCase
+from ..replay.input_noise import input_colour
+from ..runs.checkpoint import Checkpoint
+from ..samplers.choose import make_sampler
+from ..samplers.diagnostics import Convergence, converged
+from ..systems.branch import BranchSystem
+from ..systems.system import Parameter, free_of
+from .fit import Modes, find_modes, refine, representatives
+from .target import Target
+
+Progress = Callable[[str, int], None]
+#: How often the response to the force's noise is found anew at the best mode: the first mode, found without it, may be
+#: several deviations off where that noise dominates.
+COLOURINGS = 2
+#: Half the distance in a free coordinate over which the slope of the response's power is taken.
+COLOUR_STEP = 0.05
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Particles of a target.
+
+    Attributes:
+        parameters: The n unknowns.
+        particles: Their values in SI units, shape [P, n].
+        theta: The target's own vectors, shape [P, D].
+        noise: Inferred noise of every channel, shape [P, C].
+        log_posterior: Up to a constant, shape [P].
+        trace_log_posterior: Of every particle (or chain) at every iteration, shape [I, P].
+        trace_mean: Mean of the particles at every iteration, in posterior deviations from the best mode, shape [I, D].
+        agreement: Share of starts that ended within 3 of the best log posterior.
+        convergence: Whether the sampler converged, why, and the numbers behind it.
+        geometry: What a branch's springs refer to: ``segment_name``, ``segment_length_m``, ``segment_radius_m``.
+    """
+
+    parameters: tuple[Parameter, ...]
+    particles: Array
+    theta: torch.Tensor
+    noise: Array
+    log_posterior: Array
+    trace_log_posterior: Array
+    trace_mean: Array
+    agreement: float
+    convergence: Convergence
+    geometry: dict[str, Array]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI units of the unknowns."""
+        return tuple(p.unit for p in self.parameters)
+
+    @property
+    def free(self) -> torch.Tensor:
+        """Free coordinates of the particles, shape [P, n]."""
+        return free_of(self.parameters, torch.as_tensor(self.particles))
+
+    def interval(self) -> tuple[Array, Array, Array]:
+        """Return median and ends of every parameter's 95 % interval, by a normal fit to its free coordinate."""
+        mean, spread = self.free.mean(0), self.free.std(0)
+        ends = (mean, mean - 1.96 * spread, mean + 1.96 * spread)
+        log = np.array([p.scale == "log" for p in self.parameters])
+        low, middle, high = ends[1].numpy(), mean.numpy(), ends[2].numpy()
+        return tuple(np.where(log, np.exp(np.where(log, x, 0.0)), x) for x in (middle, low, high))  # type: ignore[return-value]
+
+    def save(self, path: Path) -> None:
+        """Write ``posterior.npz``: names, units, particles [P, n], noise [P, C], log_posterior [P] and the geometry."""
+        np.savez(path, names=np.array(self.names), units=np.array(self.units), particles=self.particles,
+                 noise=self.noise, log_posterior=self.log_posterior, **self.geometry)  # type: ignore[arg-type] # fmt: skip
+
+
+def initial_vectors(target: Target, count: int, generator: torch.Generator) -> torch.Tensor:
+    """Return start vectors [S, D]: the parameters' typical values, scattered, and the recordings' guessed starts."""
+    n = target.num_parameters
+    typical = torch.tensor([p.start for p in target.system.parameters], dtype=torch.float64)
+    low, high = (end.cpu() for end in target.box)
+    scatter = torch.randn(count, n, generator=generator, dtype=torch.float64) * ((high - low) / 8.0).clamp(max=2.0)
+    # half of the starts scale all parameters together: the overall size is the least known
+    together = torch.randn(count, 1, generator=generator, dtype=torch.float64) * ((high - low) / 8.0).clamp(max=1.5)
+    scatter = torch.where(torch.arange(count)[:, None] % 2 == 0, together, scatter)
+    scatter[0] = 0.0
+    logs = torch.maximum(torch.minimum(typical + scatter, high), low).to(target.place)
+    rows = [logs, target.start0.flatten().expand(count, -1)]
+    if target.num_noise:
+        rows.append(target.log_noise0.expand(count, -1))
+    return torch.cat(rows, 1)
+
+
+class Whitened:
+    """A target's density in coordinates z = L^T (theta - centre), L L^T the precision at the centre.
+
+    A `samplers.choose.Density`, NaN where a world did not survive. Gradients combine residuals at z with derivatives
+    of the simulation that are taken anew only when some particle has moved by `STALE` deviations since: within that
+    distance they change by about a percent, and each costs two worlds a parameter.
+
+    Attributes:
+        taken_at: Where the derivatives were taken, shape [P, D], or None.
+    """
+
+    STALE = 0.25
+
+    def __init__(self, target: Target, centre: torch.Tensor, precision: torch.Tensor) -> None:
+        self.target, self.centre = target, centre
+        self.factor = torch.linalg.cholesky(precision)
+        self.taken_at: torch.Tensor | None = None
+        self._derivative: torch.Tensor | None = None
+
+    def theta(self, z: torch.Tensor) -> torch.Tensor:
+        """Return the target's vectors [..., D] of z."""
+        return self.centre + torch.linalg.solve_triangular(
+            self.factor.T, z.reshape(-1, z.shape[-1]).T, upper=True
+        ).T.reshape(z.shape)
+
+    def z(self, theta: torch.Tensor) -> torch.Tensor:
+        """Return z [..., D] of the target's vectors."""
+        return (theta - self.centre) @ self.factor
+
+    def evaluate(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return log density [P] and gradient [P, D]."""
+        if self.taken_at is None or not bool(((z - self.taken_at).abs() <= self.STALE).all()):
+            self.take(z)
+        e = self.target.evaluate(self.theta(z), self._derivative)
+        return e.log_posterior, torch.linalg.solve_triangular(self.factor, e.gradient.T, upper=False).T
+
+    def take(self, z: torch.Tensor) -> None:
+        """Take the derivatives at z [P, D]."""
+        self.taken_at, self._derivative = z.clone(), self.target.linearise(self.theta(z))[1]
+
+    def log_density(self, z: torch.Tensor) -> torch.Tensor:
+        """Return the log density [P]."""
+        return self.target.log_density(self.theta(z))
+
+
+def infer(
+    target: Target,
+    *,
+    method: str = "svgd",
+    particles: int,
+    iterations: int,
+    seed: int,
+    starts: int = 16,
+    force_sigma: Array | None = None,
+    checkpoint: Checkpoint | None = None,
+    name: str = "posterior",
+    progress: Progress = lambda stage, done: None,
+) -> Posterior:
+    """Infer a target's posterior.
+
+    Args:
+        target: What to infer.
+        method: Sampler, see `samplers.choose.make_sampler`.
+        particles: Number of particles, or of chains.
+        iterations: Updates of the sampler.
+        seed: Of every random number used.
+        starts: Starts of the search for modes.
+        force_sigma: Noise of a branch's force [N], shape [3], to be seen through the model; None takes it for exact.
+        checkpoint: Where to keep what has been reached.
+        name: Of this inference in the checkpoint.
+        progress: Called with a stage (``modes`` or ``particles``) and the number of steps done.
+
+    Raises:
+        InputError: There are too few particles for the unknowns.
+    """
+    if particles < 2 * target.num_dims:
+        found, allowed = (
+            str(particles),
+            f"{2 * target.num_dims} or more: two for each of the {target.num_dims} unknowns",
+        )
+        raise InputError("identify", "--particles", found, f"{allowed}, noise and start states counted")
+    keep = checkpoint or Checkpoint()
+    modes = _modes(target, seed, starts, force_sigma, keep, name, progress)
+    return sample(
+        target, modes, method=method, particles=particles, iterations=iterations, seed=seed, checkpoint=keep, name=name,
+        progress=progress,
+    )  # fmt: skip
+
+
+def sample(
+    target: Target, modes: Modes, *, method: str = "svgd", particles: int, iterations: int, seed: int,
+    checkpoint: Checkpoint | None = None, name: str = "posterior", progress: Progress = lambda stage, done: None,
+) -> Posterior:  # fmt: skip
+    """Sample a target's posterior about its modes; arguments as of `infer`."""
+    keep = checkpoint or Checkpoint()
+    best = int(modes.log_posterior.argmax())
+    density = Whitened(target, modes.theta[best], modes.precision[best])
+    generator = torch.Generator().manual_seed(seed + 1)
+    first = density.z(spread(modes, particles, generator))
+    sampler = make_sampler(method, first, iterations=iterations, seed=seed)
+    trace_z, trace_p = _gone(sampler, density, keep.load(f"{name}.sampler"))
+    progress("particles", len(trace_z))
+    for _ in range(len(trace_z), iterations):
+        trace_z.append(sampler.step(density).clone())
+        trace_p.append(sampler.log_density.clone())
+        progress("particles", 1)
+        if keep.due(f"{name}.sampler"):
+            state = {
+                "sampler": sampler.state(), "z": torch.stack(trace_z), "p": torch.stack(trace_p),
+                "taken_at": density.taken_at,
+            }  # fmt: skip
+            keep.save(f"{name}.sampler", state)
+    return _posterior(target, density, sampler, modes, torch.stack(trace_z), torch.stack(trace_p), particles)
+
+
+def _modes(
+    target: Target, seed: int, starts: int, force_sigma: Array | None, keep: Checkpoint, name: str, progress: Progress
+) -> Modes:
+    """Find the modes, then again with the force's noise seen through the model at the best of them."""
+    done = keep.load(f"{name}.modes")
+    if done is None:
+        generator = torch.Generator().manual_seed(seed)
+        modes = find_modes(target, initial_vectors(target, starts, generator), lambda k: progress("modes", k))
+        keep.save(f"{name}.modes", {f.name: getattr(modes, f.name) for f in fields(Modes)})
+    else:
+        modes = Modes(**{f.name: done[f.name] for f in fields(Modes)})
+    noisy = isinstance(target.case, BranchCase) and force_sigma is not None and float(np.max(force_sigma)) > 0.0
+    if not noisy or target.loss != "gaussian":
+        return modes
+    for _ in range(COLOURINGS):
+        _colour(target, modes.theta[int(modes.log_posterior.argmax())], force_sigma)
+        modes = refine(target, modes)
+    return modes
+
+
+def _colour(target: Target, centre: torch.Tensor, force_sigma: Array | None) -> None:
+    """Give a branch's target the noise of its force, seen through the model at ``centre`` [D]."""
+    assert isinstance(target.case, BranchCase) and force_sigma is not None
+    u = target.split(centre[None])[0]
+    steps = COLOUR_STEP * torch.eye(u.shape[1], dtype=u.dtype, device=u.device)
+    sigma = torch.where(target.weight.amax((0, 1)) > 0, target.sigma0, 0.0)
+    target.colour = input_colour(
+        target.case, target.recordings, target.values(u)[0], force_sigma, sigma,
+        nearby=target.values(torch.cat([u + steps, u - steps])), unknowns=target.unknowns, device=target.device,
+    )  # fmt: skip
+    more, less = target.colour.power.chunk(2)
+    target.lean = ((more - less) / (2.0 * COLOUR_STEP), u[0])
+
+
+def spread(modes: Modes, count: int, generator: torch.Generator) -> torch.Tensor:
+    """Place particles about the modes in proportion to their Laplace evidence, a little wider than they will end.
+
+    Starts that ended at the same mode (within three of its deviations) count once.
+    """
+    of = representatives(modes)
+    distinct = [i for i in range(len(of)) if of[i] == i and bool(torch.isfinite(modes.log_posterior[i]))]
+    evidence = modes.log_posterior[distinct] - 0.5 * torch.logdet(modes.precision[distinct])
+    chosen = torch.multinomial(torch.softmax(evidence, 0).cpu(), count, replacement=True, generator=generator)
+    factor = torch.linalg.cholesky(modes.precision[distinct])[chosen]
+    z = torch.randn(count, factor.shape[-1], generator=generator, dtype=torch.float64).to(factor.device) * 1.2
+    off = torch.linalg.solve_triangular(factor.transpose(1, 2), z[..., None], upper=True)[..., 0]
+    return modes.theta[torch.tensor(distinct)[chosen]] + off
+
+
+def _gone(
+    sampler: Any, density: Whitened, state: dict[str, Any] | None
+) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+    """Bring a sampler and its density to where a checkpoint left them; return the traces so far."""
+    if state is None:
+        return [], []
+    sampler.load(state["sampler"])
+    if state["taken_at"] is not None:
+        density.take(state["taken_at"])
+    return list(state["z"]), list(state["p"])
+
+
+def _posterior(
+    target: Target, density: Whitened, sampler: Any, modes: Modes, z: torch.Tensor, p: torch.Tensor, particles: int
+) -> Posterior:
+    last = z[-1]
+    verdict = converged(z, chain=sampler.chain, gradient=sampler.gradient)
+    drawn, log_p = (last, p[-1]) if not sampler.chain else _thinned(z, p, 4 * particles)
+    theta = density.theta(drawn)
+    u, _, noise = target.split(theta)
+    sigma = noise.exp() if target.num_noise else target.log_noise0.exp().expand(len(theta), -1)
+    best = modes.log_posterior.max()
+    system = target.system
+    return Posterior(
+        parameters=tuple(system.parameters),
+        particles=target.values(u).cpu().numpy(),
+        theta=theta,
+        noise=(sigma[:, target.groups] * (target.weight.amax((0, 1)) > 0)).cpu().numpy(),
+        log_posterior=log_p.cpu().numpy(),
+        trace_log_posterior=p.cpu().numpy(),
+        trace_mean=z.mean(1).cpu().numpy(),
+        agreement=float((modes.log_posterior > best - 3.0).double().mean()),
+        convergence=verdict,
+        geometry=_geometry(system.branch) if isinstance(system, BranchSystem) else {},
+    )
+
+
+def _thinned(z: torch.Tensor, p: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """At most ``count`` draws, evenly from the second half of all chains."""
+    half = len(z) // 2
+    flat, log_p = z[half:].flatten(0, 1), p[half:].flatten()
+    picked = torch.linspace(0, len(flat) - 1, min(count, len(flat)), device=z.device).round().long()
+    return flat[picked], log_p[picked]
+
+
+def _geometry(branch: Any) -> dict[str, Array]:
+    return {
+        "segment_name": np.array(branch.segment_name),
+        "segment_length_m": np.asarray(branch.length),
+        "segment_radius_m": np.asarray(branch.radius),
+    }

@@ -1,0 +1,276 @@
+"""What an identification says: its numbers, its headline and its page."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from ...sim.base.host import describe
+from ...version import __version__
+from ..cases.case import BranchCase, JointCase
+from ..reports.figures import (
+    amplitude_figure,
+    convergence_figure,
+    coverage_figure,
+    loop_figure,
+    posterior_figure,
+    prediction_figure,
+    residual_figure,
+)
+from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure
+from .outcome import Outcome
+from .predict import main_channels
+from .settings import Settings
+
+#: A misfit above this many times the noise is more than noise.
+TOLERANCE = 1.3
+#: Probabilities of the coverage curve.
+NOMINAL = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
+METHODS = {
+    "svgd": "Stein variational gradient descent", "mh": "Metropolis-Hastings", "emcee": "emcee's ensemble sampler",
+    "sgld": "stochastic gradient Langevin dynamics", "sghmc": "stochastic gradient Hamiltonian Monte Carlo",
+}  # fmt: skip
+
+
+def unit_of(case: BranchCase | JointCase) -> str:
+    """Return the unit of the main channels: ``m`` or ``rad`` and their rates."""
+    if isinstance(case, BranchCase):
+        return "m"
+    output = case.channels[0]
+    joint = next(j for j in case.joints if j.name == output.joint)
+    base = "rad" if joint.type == "revolute" else "m"
+    return {
+        "position": base,
+        "velocity": f"{base}_per_s",
+        "acceleration": f"{base}_per_s2",
+        "effort": "N_m" if base == "rad" else "N",
+    }[output.quantity]
+
+
+def summary(outcome: Outcome) -> dict[str, Any]:
+    """Return what ``report.json`` holds: scores on the held-out trajectories and every parameter's interval."""
+    unit, p = unit_of(outcome.case), outcome.prediction
+    scores = {"interval_95_width": p.width, "rms_misfit": p.rms, "noise_floor": outcome.noise_floor}
+    middle, low, high = outcome.posterior.interval()
+    out: dict[str, Any] = {
+        "case": outcome.case.name,
+        "coverage_95": p.coverage,
+        **{f"{name}_{unit}": value for name, value in scores.items()},
+        "misfit_over_noise": outcome.ratio,
+        "unit": unit,
+        "parameters": {
+            name: {"median": float(m), "low": float(a), "high": float(b), "unit": u}
+            for name, m, a, b, u in zip(
+                outcome.posterior.names, middle, low, high, outcome.posterior.units, strict=True
+            )
+        },
+        "trajectories": {
+            "train": [j + 1 for j in outcome.train],
+            "test": [j + 1 for j in outcome.test],
+            f"rms_misfit_{unit}": [float(np.sqrt(np.mean(r[:, list(p.main)] ** 2))) for r in p.residual],
+        },
+        f"rms_misfit_by_channel_{unit}": _by_channel(outcome),
+        "misfit_by_amplitude": {
+            f"{name}_{unit}": x.tolist() for name, x in zip(("amplitude", "misfit"), p.by_amplitude(), strict=True)
+        },
+        "starts_that_agree": outcome.posterior.agreement,
+        "converged": outcome.posterior.convergence.converged,
+        "convergence": outcome.posterior.convergence.reason,
+        "diagnostics": outcome.posterior.convergence.numbers,
+        "mean_nll": p.mean_nll,
+        f"mean_crps_{unit}": p.mean_crps,
+        "coverage_curve": {f"{q:.2f}": p.coverage_at(q) for q in NOMINAL},
+        "world_steps": outcome.world_steps,
+        "seconds": outcome.seconds,
+        "settings": _settings(outcome.settings),
+        "version": __version__,
+        "machine": describe(),
+    }
+    if unit == "rad":
+        out |= {f"{name}_deg": math.degrees(value) for name, value in scores.items()}
+    return out
+
+
+def _settings(s: Settings) -> dict[str, Any]:
+    effects = [{"name": a.name, "joint": a.joint, "parameters": dict(a.known)} for a in s.effects]
+    return asdict(replace(s, effects=())) | {"effects": effects}
+
+
+def _by_channel(outcome: Outcome) -> dict[str, float]:
+    """Return the rms misfit of every main channel, by axis or joint."""
+    case, p = outcome.case, outcome.prediction
+    names = ["xyz"[c] if isinstance(case, BranchCase) else case.channels[c].joint for c in p.main]
+    squares = np.mean(np.concatenate([r[:, list(p.main)] ** 2 for r in p.residual]), axis=0)
+    return dict(zip(names, np.sqrt(squares).tolist(), strict=True))
+
+
+def _shown(outcome: Outcome) -> tuple[float, str]:
+    """Scale and unit that people read: centimetres for a branch, degrees for angles."""
+    if isinstance(outcome.case, BranchCase):
+        return 100.0, "cm"
+    unit = unit_of(outcome.case)
+    return (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit.replace("_per_", "/").replace("_", " "))
+
+
+def headline(outcome: Outcome) -> tuple[str, str]:
+    """Return the verdict in a sentence, and good, warning or bad."""
+    done = outcome.posterior.convergence
+    if not done.converged:
+        return f"The sampler did not converge: {done.reason}. What follows is not the posterior.", "bad"
+    p, (scale, unit) = outcome.prediction, _shown(outcome)
+    rms, floor = f"{scale * p.rms:.3g} {unit}", f"{scale * outcome.noise_floor:.3g} {unit}"
+    if outcome.ratio <= TOLERANCE:
+        return f"The model explains the held-out motion to within the noise: misfit {rms}, noise {floor}.", "good"
+    agree = outcome.posterior.agreement >= 0.25
+    why = (
+        f"this is no failure of the fit ({outcome.posterior.agreement:.0%} of the independent starts ended at the same "
+        "optimum): the model lacks something that the measurement contains"
+        if agree
+        else "and few starts agree on an optimum, so the fit itself may be at fault"
+    )
+    return (
+        f"The held-out misfit is {outcome.ratio:.1f} times the noise ({rms} against {floor}); {why}.",
+        "warning" if agree else "bad",
+    )
+
+
+def content(outcome: Outcome) -> ReportContent:
+    """Return what the report page shows."""
+    text, status = headline(outcome)
+    p, (scale, unit) = outcome.prediction, _shown(outcome)
+    middle, low, high = outcome.posterior.interval()
+    rows = zip(outcome.posterior.names, middle, low, high, outcome.posterior.units, strict=True)
+    numbers = [
+        KeyNumber("Held-out misfit", scale * p.rms, unit, "Root mean square of measured minus predicted."),
+        KeyNumber("Noise", scale * outcome.noise_floor, unit, "What a perfect model would leave, from the data alone."),
+        KeyNumber("Misfit / noise", outcome.ratio, "", f"Above {TOLERANCE} the model lacks something."),
+        KeyNumber("95 % interval covers", 100 * p.coverage, "%", "Share of held-out points inside; 95 is ideal."),
+        KeyNumber("Width of the interval", scale * p.width, unit, "Mean over held-out points, noise included."),
+        KeyNumber(
+            "CRPS", scale * p.mean_crps, unit, "Continuous ranked probability score of held-out points; small is good."
+        ),
+        KeyNumber("Negative log density", p.mean_nll, "", "Mean of a held-out point, in nats; small is good."),
+    ]
+    return ReportContent(
+        title=f"Identification of {outcome.case.name}",
+        headline=text,
+        status=status,  # type: ignore[arg-type]
+        numbers=[*numbers, *_acting(outcome.settings)],
+        parameters=[ParameterRow(n, float(m), float(a), float(b), u) for n, m, a, b, u in rows],
+        figures=_figures(outcome, scale, unit),
+        details={
+            "trajectories learnt from": ", ".join(outcome.case.trajectories[j].file for j in outcome.train),
+            "trajectories held out": ", ".join(outcome.case.trajectories[j].file for j in outcome.test),
+            **_method(outcome),
+            "bough": __version__,
+            **describe(),
+            **{f"note {i + 1}": w for i, w in enumerate(_notes(outcome))},
+        },
+        further=[
+            ("posterior.npz", "the particles, for your own code"),
+            ("report.json", "every number on this page"),
+        ],
+    )
+
+
+def _acting(s: Settings) -> list[KeyNumber]:
+    """Return a line on the effects that act, none where none does."""
+    if not s.effects:
+        return []
+    told = [f"{a.label} ({', '.join(f'{k} {v:.4g}' for k, v in a.known.items()) or 'inferred'})" for a in s.effects]
+    return [KeyNumber("Effects that act", str(len(told)), "", f"Beside springs and dampers: {', '.join(told)}.")]
+
+
+def _notes(outcome: Outcome) -> list[str]:
+    """Return the case's warnings, and what is not held out."""
+    seen = outcome.train == outcome.test
+    return [
+        *outcome.case.warnings,
+        *(["one recording: nothing is held out, scores are of what was fitted"] if seen else []),
+    ]
+
+
+def _method(outcome: Outcome) -> dict[str, str | int | float]:
+    """Return how it was computed, line by line."""
+    s, q = outcome.settings, outcome.posterior
+    likelihood = (
+        "Gaussian, noise inferred, noise of the force seen through the model"
+        if s.loss == "gaussian"
+        else f"published loss (thesis eq. 3.5, 3.9), kT {s.temperature:g}"
+    )
+    return {
+        "method": f"Levenberg-Marquardt from 16 starts, then {METHODS[s.sampler]} in whitened coordinates",
+        "likelihood": likelihood,
+        "prior": " and ".join(["smooth box", *s.priors]),
+        "cross-validation": f"{s.cv} folds" if s.cv else "none",
+        "particles or chains": s.particles,
+        "iterations": s.iterations,
+        "seed": s.seed,
+        "starts that agree": f"{q.agreement:.0%}",
+        "convergence": q.convergence.reason,
+        "world-steps": f"{outcome.world_steps:,}",
+        "seconds": ", ".join(f"{k} {v:.1f}" for k, v in outcome.seconds.items()),
+    }
+
+
+def _figures(outcome: Outcome, scale: float, unit: str) -> list[ReportFigure]:
+    case, p = outcome.case, outcome.prediction
+    main = list(main_channels(case))
+    shown = ["xyz"[c] if isinstance(case, BranchCase) else case.channels[c].joint for c in main]
+    labels = [f"{name} [{unit}]" for name in shown]
+    titles = [f"{case.trajectories[j].file}" for j in outcome.test]
+    scaled = {k: [scale * a[:, main] for a in getattr(p, k)] for k in ("measured", "median", "low", "high", "residual")}
+    names = [f"{n} [{u}]" for n, u in zip(outcome.posterior.names, outcome.posterior.units, strict=True)]
+    out = [
+        ReportFigure(
+            "prediction.png",
+            prediction_figure(p.t, scaled["measured"], scaled["median"], scaled["low"], scaled["high"],
+                              titles=titles, labels=labels),
+            "Held-out trajectories: measured points, the model's prediction and its 95 % band.",
+        ),
+        ReportFigure(
+            "residual.png",
+            residual_figure(p.t, scaled["residual"], scale * outcome.sigma[main], label=f"residual [{unit}]"),
+            "What the model leaves over, against the noise: mere noise fills the green band and has no memory.",
+        ),
+    ]  # fmt: skip
+    amplitude, misfit = p.by_amplitude()
+    out.append(
+        ReportFigure(
+            "amplitude.png",
+            amplitude_figure(scale * amplitude, scale * misfit, scale * outcome.noise_floor, label=unit),
+            "Misfit against amplitude: what grows with the amplitude is no noise, and no linear model's to explain.",
+        )
+    )
+    if isinstance(case, BranchCase):
+        force = [case.trajectories[j].force for j in outcome.test]
+        out.append(
+            ReportFigure(
+                "loops.png",
+                loop_figure(force, [m[:, :3] for m in p.measured], [m[:, :3] for m in p.median], titles=titles),
+                "Force against displacement: the slope is stiffness, the area inside a loop is energy lost.",
+            )
+        )
+    out.append(
+        ReportFigure(
+            "posterior.png", posterior_figure(outcome.posterior.particles, names),
+            "Particles of the posterior: what the data say about every parameter, and which they confuse.",
+        )
+    )  # fmt: skip
+    out.append(
+        ReportFigure(
+            "coverage.png", coverage_figure(np.array(NOMINAL), np.array([p.coverage_at(q) for q in NOMINAL])),
+            "Calibration: the share of held-out points inside central intervals, against what the intervals claim.",
+        )
+    )  # fmt: skip
+    out.append(
+        ReportFigure(
+            "convergence.png",
+            convergence_figure(outcome.posterior.trace_log_posterior, outcome.posterior.trace_mean),
+            "How the particles settled.",
+        )
+    )  # fmt: skip
+    return out

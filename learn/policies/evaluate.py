@@ -1,0 +1,251 @@
+"""How well a policy does in worlds it was not trained in: the columns of the thesis's table 5.2."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from ...sim.base.errors import InputError
+from ..runs.folder import CONFIG, MODEL, RunFolder, replace_text
+from ..runs.threads import one_thread
+from ..tasks.registry import TaskRegistry, settings_from
+from ..tasks.task import METRICS, Task, unseen_seed
+from .ppo_settings import PPOSettings
+from .train_report import at_the_end
+
+if TYPE_CHECKING:
+    from tensordict import TensorDict
+
+Policy = Callable[["TensorDict"], torch.Tensor]
+Metrics = dict[str, torch.Tensor]
+
+JSON, TABLE = "evaluation.json", "evaluation.md"
+COLUMNS = ("Test Rew", "Test SR %", "Occ Drop %", "Touch %", "Steps in Succ")
+"""What is measured on every test set, as table 5.2 calls it; it has Train Rew and Trials before."""
+
+
+@dataclass(frozen=True)
+class TrainedPolicy:
+    """A policy as a run has left it.
+
+    Attributes:
+        name: Name of its task.
+        settings: Settings of its task.
+        ppo: Numbers of PPO; its network is among them.
+        state: Networks and normalisers.
+        iteration: Iterations done.
+        checkpoint: Folder it was read from.
+    """
+
+    name: str
+    settings: Any
+    ppo: PPOSettings
+    state: dict[str, Any]
+    iteration: int
+    checkpoint: Path
+
+    def on(self, task: Task) -> Policy:
+        """Return the policy without noise, for a task with the same observations and actions.
+
+        Raises:
+            InputError: The task is of another version, or its observations are not the policy's.
+        """
+        from ..runs.folder import CheckpointFolder
+        from .ppo_runner import policy_of
+
+        CheckpointFolder(self.checkpoint).check(task.name, task.version)
+        try:
+            return policy_of(self.state, self.ppo, task)
+        except (RuntimeError, KeyError) as error:
+            first = str(error).splitlines()[0]
+            raise InputError(self.checkpoint, "", f"a network that does not fit ({first})", "this task's") from None
+
+
+def read_policy(folder: RunFolder, registry: TaskRegistry) -> TrainedPolicy:
+    """Read the newest policy of a run.
+
+    Raises:
+        InputError: There is no run or no checkpoint, or it is damaged or of another version.
+    """
+    config, source = folder.config(), folder.path / CONFIG
+    registry.check_name(config["task"]["name"])
+    newest = folder.newest()
+    if newest is None:
+        raise InputError(folder.path, "", "a run without a checkpoint", "a run that has reached its first checkpoint")
+    name, version = config["task"]["name"], config["task"]["version"]
+    done = newest.check(name, version)
+    settings = settings_from(registry.settings, config["task"]["settings"], source)
+    ppo = settings_from(PPOSettings, config["ppo"], source)
+    return TrainedPolicy(name, settings, ppo, newest.load(MODEL), done, newest.path)
+
+
+def zero(task: Task) -> Policy:
+    """Return the policy that lets the arm be."""
+    still = torch.zeros(task.num_envs, task.num_actions, device=task.device)
+    return lambda _observations: still
+
+
+def random(task: Task, seed: int) -> Policy:
+    """Return the policy that draws every action evenly from -1 to 1."""
+    generator = torch.Generator(device=task.device).manual_seed(seed)
+    shape = (task.num_envs, task.num_actions)
+    return lambda _observations: 2.0 * torch.rand(shape, generator=generator, device=task.device) - 1.0
+
+
+@torch.inference_mode()
+def first_episodes(task: Task, policy: Policy) -> Metrics:
+    """Return the metrics of the first episode of every world to its end, shape [W] each.
+
+    Raises:
+        RuntimeError: An episode is longer than the task says.
+    """
+    nan = torch.full((task.num_envs,), math.nan, device=task.device)
+    found = {name: nan.clone() for name in METRICS}
+    over = torch.zeros(task.num_envs, dtype=torch.bool, device=task.device)
+    observations = task.get_observations()
+    for _ in range(longest_episode(task) + 1):
+        observations, _, dones, extras = task.step(policy(observations))
+        ends = (dones > 0) & ~over
+        for name, values in found.items():
+            values.copy_(torch.where(ends, extras["log"][name], values))
+        over |= ends
+        if bool(over.all()):
+            return found
+    raise RuntimeError(f"{int((~over).sum())} episodes of {task.name} did not end in max_episode_length steps")
+
+
+def longest_episode(task: Task) -> int:
+    """Return the policy steps of the longest episode."""
+    return int(torch.as_tensor(task.max_episode_length).max())
+
+
+def columns(metrics: Metrics) -> dict[str, float]:
+    """Return `COLUMNS` of a test set; steps in success are a mean over the worlds that succeeded, NaN if none did."""
+    won = metrics["success"] > 0
+    values = (
+        metrics["return"].mean(),
+        100.0 * metrics["success"].float().mean(),
+        100.0 * metrics["occlusion_drop"].mean(),
+        100.0 * metrics["breach"].float().mean(),
+        metrics["steps_clear"].float()[won].mean(),
+    )
+    return {name: float(value) for name, value in zip(COLUMNS, values, strict=True)}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One policy on all test sets.
+
+    Attributes:
+        policy: Its name.
+        train_return: Return at the end of training, NaN for a policy that was not trained.
+        trials: Episodes.
+        sets: `COLUMNS` of every set.
+    """
+
+    policy: str
+    train_return: float
+    trials: int
+    sets: Sequence[Mapping[str, float]]
+
+    def mean(self, column: str) -> float:
+        """Return the mean over the sets that have a value."""
+        values = self._values(column)
+        return sum(values) / len(values) if values else math.nan
+
+    def spread(self, column: str) -> float:
+        """Return the standard deviation over the sets (n - 1), NaN for fewer than two."""
+        values = self._values(column)
+        if len(values) < 2:
+            return math.nan
+        mean = self.mean(column)
+        return math.sqrt(sum((v - mean) ** 2 for v in values) / (len(values) - 1))
+
+    def _values(self, column: str) -> list[float]:
+        return [s[column] for s in self.sets if not math.isnan(s[column])]
+
+
+def evaluate(
+    path: Path, registry: TaskRegistry, *, sets: int = 3, worlds: int = 512, seed: int = 0, device: str = "cpu",
+    baselines: Sequence[str] = (), progress: Callable[[int], None] = lambda done: None,
+) -> list[Row]:  # fmt: skip
+    """Test a run's policy, and others beside it in the same worlds; write ``evaluation.json`` and ``evaluation.md``.
+
+    Args:
+        path: Folder of the run.
+        registry: Where its task is found.
+        sets: Test sets.
+        worlds: Worlds of each.
+        seed: Seed of the test sets; whatever it is, no world of training is among them.
+        device: Torch device.
+        baselines: Names of the policies beside it, ``zero`` and ``random``.
+        progress: Called with the episodes' sets done since the last call.
+
+    Raises:
+        InputError: A number cannot be, or there is no policy to test.
+    """
+    for option, value, least in (("--sets", sets, 1), ("--worlds", worlds, 1), ("--seed", seed, 0)):
+        if value < least:
+            raise InputError("evaluate", option, str(value), f"{least} or more")
+    folder = RunFolder(path)
+    trained = read_policy(folder, registry)
+    found: dict[str, list[dict[str, float]]] = {name: [] for name in ("trained", *baselines)}
+    for index in range(sets):
+        test_seed = unseen_seed(seed, index)
+        task = registry.make(trained.name, trained.settings, num_envs=worlds, seed=test_seed, device=device, test=True)
+        start = task.snapshot()
+        for name, results in found.items():
+            task.restore(start)
+            policy = zero(task) if name == "zero" else random(task, test_seed) if name == "random" else trained.on(task)
+            with one_thread():
+                results.append(columns(first_episodes(task, policy)))
+            progress(1)
+    end = at_the_end(folder.metrics(), "return")
+    rows = [Row(n, end if n == "trained" else math.nan, sets * worlds, results) for n, results in found.items()]
+    _write(folder, trained, rows, sets=sets, worlds=worlds, seed=seed, device=device)
+    return rows
+
+
+def _write(folder: RunFolder, trained: TrainedPolicy, rows: Sequence[Row], **how: object) -> None:
+    about = {"format": "bough-evaluation/1", "task": trained.name, "iteration": trained.iteration, **how}
+    text = json.dumps({**about, "rows": [_plain(row) for row in rows]}, indent=2, allow_nan=False)
+    replace_text(folder.path / JSON, text + "\n")
+    replace_text(folder.path / TABLE, table(rows) + "\n")
+
+
+def _plain(row: Row) -> dict[str, Any]:
+    def known(value: float) -> float | None:
+        return None if math.isnan(value) else value
+
+    measured = {
+        c: {"mean": known(row.mean(c)), "spread": known(row.spread(c)), "sets": [known(s[c]) for s in row.sets]}
+        for c in COLUMNS
+    }
+    return {"policy": row.policy, "Train Rew": known(row.train_return), "Trials": row.trials, **measured}
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the rows as a table in Markdown: mean and standard deviation over the test sets."""
+    head = ("policy", "Train Rew", "Trials", *COLUMNS)
+    body = [(r.policy, _cell(r.train_return), str(r.trials), *(_cell(r.mean(c), r.spread(c)) for c in COLUMNS))
+            for r in rows]  # fmt: skip
+    widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
+
+    def line(cells: Sequence[str]) -> str:
+        first, *others = zip(cells, widths, strict=True)
+        return "| " + " | ".join([first[0].ljust(first[1]), *(c.rjust(w) for c, w in others)]) + " |"
+
+    rule = "|" + "|".join([" " + "-" * widths[0] + " ", *(" " + "-" * w + ":" for w in widths[1:])]) + "|"
+    return "\n".join([line(head), rule, *map(line, body)])
+
+
+def _cell(mean: float, spread: float = math.nan) -> str:
+    if math.isnan(mean):
+        return "-"
+    return f"{mean:.1f}" if math.isnan(spread) else f"{mean:.1f} ± {spread:.1f}"

@@ -1,0 +1,4 @@
+"""Prior densities of parameters.
+
+Uses: `sim.base`, `sim.trees`, `learn.systems`.
+"""

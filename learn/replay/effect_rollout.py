@@ -1,0 +1,211 @@
+"""The arrays that a rollout with effects needs, and its kernel: `rollout` for systems that lack something."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from ...kernels.effects.rollout import effect_rollout_kernels
+from ...kernels.effects.terms import GROUPS, PARAMETERS, effect_types, memory_row
+from ...sim.base.errors import InputError
+from ...sim.base.rotation import quat_rotate
+from ...sim.base.types import Array
+from ...sim.effects import terms_of
+from ...sim.engine.arrays import LaneArray
+from ..systems.acting import FIELD, ActingSet
+from ..systems.branch import BranchSystem
+from .recording import Recording, recordings
+from .worlds import ReplayWorlds
+
+
+class EffectArrays:
+    """Parameters and memories of the effects in every world.
+
+    Attributes:
+        arrays: By name, the parameters as `Write` addresses them.
+        kernel: The Warp struct that kernels take.
+    """
+
+    def __init__(self, rollout: ReplayWorlds) -> None:
+        m, acting = rollout.model, rollout.system.acting
+        stride, count = m.places + 1, len(acting.names)
+        vectors = memory_row(terms_of(acting.names, acting.form), count)
+        self.arrays: dict[str, LaneArray] = {
+            FIELD: m.field("Real", places=count * PARAMETERS * stride),
+            "memory": m.field("Vec", places=max(1, vectors * stride)),
+            "settle": m.field("Real", places=1),
+            **{name: m.field("Vec") for name in ("effort", "hold", "wind", "swirl", "centre")},
+            **{name: m.field("Real") for name in ("damping", "area")},
+        }
+        self.kernel = effect_types(m.width, m.precision).Effects()
+        self.kernel.parameter = self.arrays[FIELD].kernel
+        self.kernel.settle = self.arrays["settle"].column()
+        for name in ("memory", "effort", "hold", "wind", "swirl", "centre", "damping", "area"):
+            setattr(self.kernel, name, self.arrays[name].kernel)
+        self.kernel.stride = stride
+        self.kernel.active = wp.zeros((m.groups, count + len(GROUPS)), dtype=int, device=m.device)
+        neutral = torch.tensor(acting.neutral()).repeat_interleave(stride)
+        self.arrays[FIELD].torch[..., 0] = neutral.to(self.arrays[FIELD].torch)
+        self._tip(rollout)
+        self._areas(rollout)
+
+    def _tip(self, rollout: ReplayWorlds) -> None:
+        """Put the mass of `tip_mass` at the upper end of the last link."""
+        m, system = rollout.model, rollout.system
+        last = system.tree.num_links - 1
+        self.kernel.tip = int(m.link_place[last])
+        point = np.zeros(3)
+        if isinstance(system, BranchSystem):
+            point = m.links.in_link_frame(last, np.array([0.0, 0.0, system.branch.length[-1]]))
+        self.kernel.tip_point = wp.array(point, dtype=wp.float64, device=m.device)
+
+    def _areas(self, rollout: ReplayWorlds) -> None:
+        """Give every segment its projected area, length times mean diameter, and the centre of that trapezium."""
+        m, system = rollout.model, rollout.system
+        if not isinstance(system, BranchSystem):
+            return
+        branch = system.branch
+        a, b = branch.radius[:, 0], branch.radius[:, 1]
+        height = branch.length * (a + 2.0 * b) / (3.0 * (a + b))
+        for i in range(branch.num_segments):
+            place, link = int(m.link_place[system.first + i]), system.first + i
+            local = m.links.in_link_frame(link, np.array([0.0, 0.0, height[i]]))
+            self.arrays["area"].torch[:, :, place, 0] = float(branch.length[i] * (a[i] + b[i]))
+            self.arrays["centre"].torch[:, :, place] = torch.as_tensor(local).to(self.arrays["centre"].torch)
+
+    def track(self, rollout: ReplayWorlds) -> LaneArray:
+        """Return memory for the joints' coordinates at every sample, of one entry where they are not tracked."""
+        m = rollout.model
+        samples = rollout._output.torch.shape[2] // 6
+        self.arrays["track"] = m.field("Quat", places=samples * (m.places + 1) if rollout.track else 1)
+        return self.arrays["track"]
+
+    def refresh(self, rollout: ReplayWorlds, values: torch.Tensor) -> None:
+        """Take over the dampers that the system has just been given and mark the worlds that rest under a load."""
+        self.arrays["damping"].torch.copy_(rollout.simulator._damping.torch)
+        acting = rollout.system.acting
+        columns = values[:, values.shape[1] - len(acting.parameters) :]
+        marks = acting.marks(columns)
+        rollout.place_marks(self.arrays["settle"], marks)
+        on, laws = acting.switched_on(columns), list(acting.laws.values())
+        of_kind = ([x.kind == "joint" for x in laws], [x.kind == "link" for x in laws], [x.persistent for x in laws])
+        kinds = [(on & torch.tensor(k, device=on.device)).any(1, keepdim=True) for k in of_kind]
+        sets = torch.cat([on, *kinds, marks[:, None] != 0.0], 1)
+        groups = sets.view(rollout.blocks, rollout.model.width, -1).any(1)
+        active = wp.to_torch(self.kernel.active).view(-1, *groups.shape)
+        active.copy_(groups.expand_as(active))
+
+
+def prepare(rollout: ReplayWorlds) -> tuple[EffectArrays, Callable[[], None]]:
+    """Return the arrays of a rollout's effects and what replays its recordings with them."""
+    m, sim, system = rollout.model, rollout.simulator, rollout.system
+    fx = EffectArrays(rollout)
+    acting: ActingSet = system.acting
+    kernels = effect_rollout_kernels(m.width, m.precision, terms_of(acting.names, acting.form))
+    before: list[Any] = [sim._dynamics, sim.state.kernel, sim.load.kernel, fx.kernel]
+    if isinstance(system, BranchSystem):
+        before += _branch_arguments(rollout)
+        kernel = kernels.point
+    else:
+        before += rollout.joint_arguments()
+        before += _recorded(rollout, rollout.recordings)
+        kernel = kernels.joint
+    after = [rollout.substeps, sim.dt / rollout.substeps, sim.max_speed, rollout.allocate_output().kernel]
+    if isinstance(system, BranchSystem):
+        after += [int(rollout.track), fx.track(rollout).kernel]
+    return fx, sim._launcher.prepare(kernel, before, after)
+
+
+def _recorded(rollout: ReplayWorlds, sequence: Sequence[Recording]) -> list[Any]:
+    """Return what each group replays, how long that is, when it begins, and what acts, for joints."""
+    device = rollout.device
+    which = np.repeat(np.arange(len(sequence)), rollout.blocks)
+    return [
+        wp.array(which, dtype=int, device=device),
+        wp.array([len(r.t) for r in sequence], dtype=int, device=device),
+        wp.array([r.t_start for r in sequence], dtype=wp.float64, device=device),
+        wp.array(_stacked([r.input for r in sequence]), dtype=wp.float64, device=device),
+    ]
+
+
+def _branch_arguments(rollout: ReplayWorlds) -> list[Any]:
+    system, m, device = rollout.system, rollout.model, rollout.device
+    assert isinstance(system, BranchSystem)
+    rollout.channels = 6
+    sequence = history(rollout) if system.acting.persists else rollout.recordings
+    chains = 1 if system.acting.persists else len(sequence)
+    first = np.repeat(np.arange(chains), rollout.blocks)
+    last = first + 1 if not system.acting.persists else np.full_like(first, len(sequence))
+    longest = max(len(r.t) for r in rollout.recordings)
+    starts = [r.t_start for r in rollout.recordings]
+    offset = np.zeros(len(sequence), dtype=int)
+    if system.acting.persists:
+        offset[:] = [starts.index(r.t_start) * longest if r.t_start in starts else -1 for r in sequence]
+    held = [system.first + _grasp(r)[0] for r in sequence]
+    inputs = _stacked([_felt(r) for r in sequence])
+    return [
+        wp.array([int(m.link_place[i]) for i in held], dtype=int, device=device),
+        wp.array(np.stack([_grip(rollout, r) for r in sequence]), dtype=wp.float64, device=device),
+        wp.array(first, dtype=int, device=device),
+        wp.array(last, dtype=int, device=device),
+        wp.array([len(r.t) for r in sequence], dtype=int, device=device),
+        wp.array([r.t_start for r in sequence], dtype=wp.float64, device=device),
+        wp.array(offset, dtype=int, device=device),
+        wp.array(inputs, dtype=wp.float64, device=device),
+    ]
+
+
+def _felt(r: Recording) -> Array:
+    """Force [N], whether the gripper holds, what the sensor read [N], and that it read anything, shape [T, 8]."""
+    sensed = r.input if r.sensed is None else r.sensed
+    return np.column_stack([r.input, r.contact.astype(np.float64), sensed, np.ones(len(r.t))])
+
+
+def history(rollout: ReplayWorlds) -> list[Recording]:
+    """Return the chosen recordings and all that the case has before the last of them, in time order.
+
+    Raises:
+        InputError: Two of the chosen recordings begin at the same time.
+    """
+    chosen = {r.t_start: r for r in rollout.recordings}
+    if len(chosen) < len(rollout.recordings):
+        raise InputError(rollout.case.folder / "meta.yaml", "t_start_s", "one time for two trajectories", "a time each")
+    before = [r for r in recordings(rollout.case) if r.t_start < max(chosen) and r.t_start not in chosen]
+    return sorted([*before, *chosen.values()], key=lambda r: r.t_start)
+
+
+def _grasp(recording: Recording) -> tuple[int, Array]:
+    assert recording.grasp is not None
+    return recording.grasp
+
+
+def _grip(rollout: ReplayWorlds, recording: Recording) -> Array:
+    """Where a branch is held.
+
+    Returns:
+        Grasp point [m] and segment's axis in the link's frame, the way down (negative) and up to its ends [m], the
+        point in the world in the given pose [m], and the recording's largest force [N], shape [12].
+    """
+    system = rollout.system
+    assert isinstance(system, BranchSystem)
+    segment, point = _grasp(recording)
+    branch = system.branch
+    link, links = system.first + segment, rollout.model.links
+    inverse = links.frame[link] * [1.0, -1.0, -1.0, -1.0]
+    along = quat_rotate(inverse, np.array([0.0, 0.0, 1.0]))
+    return np.concatenate([
+        links.in_link_frame(link, point), along, [-point[2], branch.length[segment] - point[2]],
+        branch.lower_end[segment] + point[2] * branch.axis[segment], [np.linalg.norm(recording.input, axis=1).max()],
+    ])  # fmt: skip
+
+
+def _stacked(rows: Sequence[Array]) -> Array:
+    """Return inputs of all recordings [recordings, longest, columns], zero past their ends."""
+    out = np.zeros((len(rows), max(len(r) for r in rows), max(1, rows[0].shape[1])))
+    for j, r in enumerate(rows):
+        out[j, : len(r), : r.shape[1]] = r
+    return out

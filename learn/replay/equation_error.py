@@ -1,0 +1,210 @@
+"""Holding a mechanism against measured efforts: the efforts that the measured motion needs beside those applied.
+
+A chaotic mechanism cannot be replayed for long, whatever its parameters. Its equations of motion hold at every moment
+all the same, so coordinates, rates and accelerations are taken from the measured motion, and inverse dynamics predicts
+the efforts (equation error; Gautier & Khalil 1988; Swevers, Verdonck & De Schutter 2007). Motion and efforts pass
+through one zero-phase low-pass filter first: a Butterworth filter of second order, run forward and backward.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from ...kernels.effects.inverse import effect_efforts_kernel
+from ...kernels.tree.inverse import inverse_kernels
+from ...sim.base.errors import InputError
+from ...sim.base.types import Array
+from ...sim.effects import terms_of
+from ...sim.engine.arrays import LaneArray
+from ..cases.case import BranchCase, JointCase, JointTrajectory
+from ..cases.noise import NoiseEstimate, estimate_noise
+from ..systems.branch import BranchSystem
+from .effect_rollout import EffectArrays
+from .recording import Recording, recordings
+from .rollout import Rollout
+
+ORDER = 2
+_QUANTITIES = ("position", "velocity", "acceleration")
+
+
+def fits_torque(case: BranchCase | JointCase) -> bool:
+    """Return whether a case's model is held against efforts instead of replayed motion."""
+    return isinstance(case, JointCase) and case.fit == "torque"
+
+
+def simulation_of(case: BranchCase | JointCase) -> type[Rollout]:
+    """Return what predicts a case's recordings: `EquationError` for torque fits, else `Rollout`."""
+    return EquationError if fits_torque(case) else Rollout
+
+
+def recordings_of(case: BranchCase | JointCase) -> list[Recording]:
+    """Return a case's trajectories as `simulation_of` takes them."""
+    return torque_recordings(case) if isinstance(case, JointCase) and fits_torque(case) else recordings(case)
+
+
+def torque_recordings(case: JointCase) -> list[Recording]:
+    """Return trajectories for `EquationError`, one period of the cut-off shorter at both ends, where filters err.
+
+    ``input`` holds coordinate, rate and acceleration of every joint, shape [T, 3 J]; ``output`` the filtered efforts,
+    columns as in `JointCase.inputs`, shape [T, I]; those held between samples are centred first. There is no start
+    state to be known.
+
+    Raises:
+        InputError: A trajectory is shorter than three periods of the cut-off.
+    """
+    sigma = estimate_noise(case).sigma
+    sources = [_sources(case, joint.name, sigma) for joint in case.joints]
+    return [_recording(case, t, sources) for t in case.trajectories]
+
+
+def _recording(case: JointCase, trajectory: JointTrajectory, sources: list[list[tuple[int, int]]]) -> Recording:
+    period, count = int(np.ceil(1.0 / (case.filter_hz * case.dt))), len(trajectory.t)
+    if count < 3 * period:
+        allowed = f"{3 * period} or more, three periods of filter_hz {case.filter_hz:g}"
+        raise InputError(case.folder / trajectory.file, "", f"{count} samples", allowed)
+    inner = slice(period, count - period)
+    motion = np.concatenate([_motion(case, trajectory, columns) for columns in sources], axis=1)
+    effort = low_pass(_at_samples(case, trajectory.effort), case.dt, case.filter_hz)
+    return Recording(
+        trajectory.t[inner], motion[inner], effort[inner], np.zeros((0, 2)), np.zeros(count - 2 * period, dtype=bool),
+        None, trajectory.t_start,
+    )  # fmt: skip
+
+
+def noise_of(case: BranchCase | JointCase) -> NoiseEstimate:
+    """Return the noise of what `simulation_of` predicts, one channel each in the order of its recordings' output."""
+    return torque_noise(case) if isinstance(case, JointCase) and fits_torque(case) else estimate_noise(case)
+
+
+def thinned(case: BranchCase | JointCase, recording: Recording) -> Recording:
+    """Return every n-th sample of a filtered recording, so that the noise of neighbours is nearly independent.
+
+    What a filter has let through up to f Hz is told by 2 f samples a second; more of them say the same again, and a
+    posterior that took them for independent would be too narrow. Recordings that are replayed stay as they are.
+    """
+    if not isinstance(case, JointCase) or case.fit == "replay":
+        return recording
+    every = max(1, int(0.5 / (case.filter_hz * case.dt)))
+    columns = {name: getattr(recording, name)[::every] for name in ("t", "input", "output", "contact")}
+    return replace(recording, **columns)
+
+
+def torque_noise(case: JointCase) -> NoiseEstimate:
+    """Return the noise of the filtered efforts: that of the raw ones times the filter's gain for white noise.
+
+    Errors of the measured motion come on top in a fit; they are smaller the lower the cut-off.
+    """
+    from scipy.signal import sosfreqz  # scipy takes longer to import than a branch, which needs none, to be refused
+
+    efforts = tuple(replace(t, output=t.effort) for t in case.trajectories)
+    raw = estimate_noise(replace(case, outputs=case.channels, trajectories=efforts))
+    _, response = sosfreqz(_filter(case.dt, case.filter_hz), 4096)
+    gain = np.sqrt(np.mean(np.abs(response) ** 4))  # there and back passes |H|^2, and of white noise's power |H|^4
+    return NoiseEstimate(raw.channel, gain * raw.sigma, {name: gain * sigma for name, sigma in raw.by_method.items()})
+
+
+def _at_samples(case: JointCase, effort: Array) -> Array:
+    """Return efforts [T, I] centred at their samples: one that is held until the next acts half a step later."""
+    held = np.array([item.hold == "zero_order" for item in case.inputs])
+    before = np.concatenate([effort[:1], effort[:-1]])
+    return np.where(held, 0.5 * (before + effort), effort)
+
+
+def low_pass(values: Array, dt: float, cutoff: float) -> Array:
+    """Filter columns [T, C], a row every ``dt`` [s], with zero phase; at ``cutoff`` [Hz] half the amplitude is left."""
+    from scipy.signal import sosfiltfilt
+
+    pad = min(len(values) - 1, int(1.0 / (cutoff * dt)))
+    return np.ascontiguousarray(sosfiltfilt(_filter(dt, cutoff), values, axis=0, padlen=pad))
+
+
+def _filter(dt: float, cutoff: float) -> Array:
+    from scipy.signal import butter
+
+    sections: Array = butter(ORDER, cutoff, fs=1.0 / dt, output="sos")
+    return sections
+
+
+def _sources(case: JointCase, joint: str, sigma: Array) -> list[tuple[int, int]]:
+    """Return column and order of derivative from which coordinate, rate and acceleration of a joint are taken.
+
+    White noise ``sigma`` of a column, differentiated d times and cut off at w, has the power sigma^2 w^2d / (2 d + 1):
+    the quietest column that a quantity can be had from is taken. Coordinates come from positions.
+    """
+    cutoff = 2.0 * np.pi * case.filter_hz
+    columns = [(c, _QUANTITIES.index(o.quantity)) for c, o in enumerate(case.outputs) if o.joint == joint]
+    out = []
+    for wanted in range(3):
+        loud = {(c, wanted - order): sigma[c] * cutoff ** (wanted - order) / np.sqrt(2 * (wanted - order) + 1)
+                for c, order in columns if order <= wanted}  # fmt: skip
+        out.append(min(loud, key=lambda key: loud[key]))
+    return out
+
+
+def _motion(case: JointCase, trajectory: JointTrajectory, columns: list[tuple[int, int]]) -> Array:
+    """Coordinate, rate and acceleration of one joint, shape [T, 3]: derivatives of a quintic spline."""
+    from scipy.interpolate import make_interp_spline
+
+    smooth = low_pass(trajectory.output, case.dt, case.filter_hz)
+    splines = [make_interp_spline(trajectory.t, smooth[:, c], k=min(5, len(smooth) - 1)) for c, _ in columns]
+    return np.stack([s(trajectory.t, nu=d) for s, (_, d) in zip(splines, columns, strict=True)], axis=-1)
+
+
+class EquationError(Rollout):
+    """Predicts the efforts that R recorded motions need for S sets of parameters, all in one launch.
+
+    As a `Rollout`, with `torque_recordings` for recordings and efforts of the driven joints for channels [N m or N].
+    One sample of one world is counted as one world-step.
+    """
+
+    def _prepare(self) -> None:
+        m, sim, dev, case = self.model, self.simulator, self.device, self.case
+        assert isinstance(case, JointCase) and not isinstance(self.system, BranchSystem)
+        place = {joint.name: int(m.link_place[joint.link]) for joint in self.system.joints}
+        longest, count = int(self.samples.max()), len(self.recordings)
+        motion = np.zeros((count, longest * len(place), 3))
+        for j, r in enumerate(self.recordings):
+            motion[j, : len(r.t) * len(place)] = r.input.reshape(-1, 3)
+        watched = [place[item.joint] for item in case.inputs]
+        trajectory = np.repeat(np.arange(count), self.blocks)
+        integers: list[Any] = [
+            wp.array(v, dtype=int, device=dev) for v in (list(place.values()), watched, trajectory, self.samples)
+        ]
+        self.substeps, self.channels = 1, len(watched)
+        self._acceleration, self._effort = m.field("Vec"), m.field("Vec")
+        self._output: LaneArray = m.field("Real", places=longest * self.channels)
+        before = [m.kernel, sim.state.kernel, sim.load.kernel, self._acceleration.kernel, *integers]
+        before.append(wp.array(motion, dtype=wp.vec3d, device=dev))
+        kernel = inverse_kernels(m.width, m.precision).replay
+        replay = sim._launcher.prepare(kernel, before, [self._effort.kernel, self._output.kernel])
+        self._replay = replay if not self.system.acting.names else self._with_effects(replay, integers, before[-1])
+
+    def _watched(self, out: torch.Tensor) -> torch.Tensor:
+        return out
+
+    def _with_effects(self, replay: Callable[[], None], integers: list[Any], motion: wp.array) -> Callable[[], None]:
+        """Return a replay that takes off what the laws at joints give; refuse effects of any other kind."""
+        m, acting = self.model, self.system.acting
+        for name, law in acting.laws.items():
+            if law.kind != "joint":
+                allowed = "effects at joints, such as dry_friction: the measured efforts are what is predicted"
+                raise InputError(self.case.folder / "meta.yaml", "effects", f"{name} in a torque fit", allowed)
+        self.effects = EffectArrays(self)
+        starts = [r.t_start + float(r.t[0]) for r in self.recordings]
+        begins: wp.array = wp.array(starts, dtype=wp.float64, device=self.device)
+        spacing = float(self.recordings[0].t[1] - self.recordings[0].t[0])
+        kernel = effect_efforts_kernel(m.width, m.precision, terms_of(acting.names, acting.form))
+        before = [m.kernel, self.effects.kernel, *integers, begins, motion]
+        laws = self.simulator._launcher.prepare(kernel, before, [spacing, self._output.kernel])
+
+        def both() -> None:
+            replay()
+            laws()
+
+        return both

@@ -1,0 +1,178 @@
+"""Noise of the measured force, seen through the model: it colours what a perfect model would leave over.
+
+A branch is driven by a force that a sensor reads with white noise. The simulation feels that noise, so that measured
+minus simulated motion is sensor noise plus the noise's response: to first order
+
+    r = D e + B n,  e, n white,  cov r = D^2 + B B^T,
+
+with D the channels' noise and B the response of the outputs to one standard deviation of the force at every sample.
+Taking r for white would make intervals too narrow where the response lasts. With D^-1 B = U S V^T the residual is
+whitened by e = (1 - U (1 - (1 + S^2)^-1/2) U^T) D^-1 r.
+
+The recorded force holds its own noise, so |e|^2 / 2 also contains the noise that each parameter vector lets through,
+tr((D^2 + B B^T)^-1 B' B'^T) / 2 in the mean with B' its own response. Vectors that let less through would win by that;
+its slope is taken out (errors in variables: the profile likelihood over the true force has it too, to first order).
+
+Noise is taken to do no damage: effects whose damage lasts from one recording to the next are left out of the response.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ...sim.base.types import Array
+from ..cases.case import BranchCase
+from ..systems.branch import BranchSystem, Unknowns
+from .recording import Recording
+from .rollout import Rollout
+
+#: Moments of a recording at which a pulse is simulated; between them the earlier one's response is shifted.
+PULSES = 16
+#: Independent pieces of noise a recording and axis; longer recordings take means over neighbouring samples. Means lose
+#: what is faster than they are, and a branch that swings once in five samples answers to just that.
+PIECES = 160
+
+
+@dataclass(frozen=True)
+class Colour:
+    """How noise of the input correlates the outputs, for R recordings.
+
+    Attributes:
+        basis: Orthonormal columns U, shape [R, T C, M].
+        gain: Squared singular values S^2, shape [R, M].
+        power: tr((D^2 + B B^T)^-1 B' B'^T) / 2 for the responses B' at other parameters, shape [S].
+    """
+
+    basis: torch.Tensor
+    gain: torch.Tensor
+    power: torch.Tensor
+
+    def whiten(self, z: torch.Tensor, share: torch.Tensor) -> torch.Tensor:
+        """Whiten residuals that are in units of the channels' noise.
+
+        Args:
+            z: Residuals, shape [P, ..., R, T, C].
+            share: Squared ratio of the estimated to the present noise of the channels, shape [P]: where a channel is
+                noisier than estimated, the force is not.
+        """
+        flat = z.flatten(-2).movedim(-2, 0)
+        rows = flat.flatten(1, -2)
+        shrink = 1.0 - (1.0 + share[:, None] * self.gain[:, None]).rsqrt()
+        inside = (rows @ self.basis).unflatten(1, (len(share), -1)) * shrink[:, :, None]
+        rows = rows - inside.flatten(1, 2) @ self.basis.transpose(1, 2)
+        return rows.reshape(flat.shape).movedim(0, -2).unflatten(-1, z.shape[-2:])
+
+    def log_volume(self, share: torch.Tensor) -> torch.Tensor:
+        """Return half the log determinant of the covariance in units of the channels' noise, [P] from shares [P]."""
+        return 0.5 * torch.log1p(share[:, None, None] * self.gain).sum((-1, -2))
+
+    def variance(self, shape: tuple[int, int]) -> torch.Tensor:
+        """Return what the input's noise adds to the variance of every output, in units of the noise's, [R, T, C]."""
+        return ((self.basis**2) @ self.gain[..., None])[..., 0].unflatten(-1, shape)
+
+
+def input_colour(
+    case: BranchCase, chosen: Sequence[Recording], values: torch.Tensor, force_sigma: Array, sigma: torch.Tensor, *,
+    nearby: torch.Tensor | None = None, unknowns: Unknowns | None = None, device: object = None,
+) -> Colour:  # fmt: skip
+    """Return the colour that noise of the force gives to recordings simulated with parameters ``values`` [n].
+
+    Args:
+        case: The branch.
+        chosen: R recordings.
+        values: Parameters about which the response is linear.
+        force_sigma: Noise of the force [N], shape [3].
+        sigma: Noise of the outputs, shape [C].
+        nearby: Parameters at which the power of the response is asked for, shape [S, n].
+        unknowns: What the values are.
+        device: Warp device.
+    """
+    sets = values[None] if nearby is None else torch.cat([values[None], nearby])
+    unknowns, sets = _undamaged(case, unknowns, sets)
+    axes = np.flatnonzero(force_sigma > 0.0)
+    pulsed, step = [], 5.0 * float(force_sigma.max())
+    moments = [_moments(len(r.t)) for r in chosen]
+    for r, at in zip(chosen, moments, strict=True):
+        pulsed += [r, *(_pulse(r, int(k), int(a), step) for k in at for a in axes)]
+    out = Rollout(case, pulsed, len(sets), unknowns=unknowns, device=device)(sets)
+    sigma = sigma.to(out.device)
+    weight = torch.where(sigma > 0.0, 1.0 / torch.where(sigma > 0.0, sigma, 1.0), 0.0)[:, None]
+    parts, first, power = [], 0, torch.zeros(len(sets) - 1, dtype=torch.float64, device=out.device)
+    for r, at in zip(chosen, moments, strict=True):
+        pulses = slice(first + 1, first + 1 + len(at) * len(axes))
+        for k, one in enumerate(out):
+            response = ((one[pulses] - one[first]).double() / step).unflatten(0, (len(at), len(axes)))
+            scaled = (_columns(r, at, response, force_sigma[axes]) * weight).flatten(0, 1)
+            if k == 0:
+                parts.append(_decompose(scaled))
+            else:
+                power[k - 1] += _power(*parts[-1], scaled)
+        first = pulses.stop
+    return _stacked(parts, power)
+
+
+def _undamaged(case: BranchCase, unknowns: Unknowns | None, sets: torch.Tensor) -> tuple[Unknowns | None, torch.Tensor]:
+    """Return unknowns and parameters [S, n] without the effects whose damage lasts."""
+    system = BranchSystem(case, unknowns)
+    if not system.acting.persists:
+        return unknowns, sets
+    gone = [a for a in system.unknowns.effects if system.acting.laws[a.name].persistent]
+    starts = tuple(f"{a.label} " for a in gone)
+    columns = [k for k, p in enumerate(system.parameters) if not p.name.startswith(starts)]
+    kept = tuple(a for a in system.unknowns.effects if a not in gone)
+    return replace(system.unknowns, effects=kept, box=()), sets[:, columns]
+
+
+def _moments(length: int) -> Array:
+    """Return the samples that are pulsed, the first among them: its pulse only falls, all others rise and fall."""
+    return np.unique(np.concatenate([[0], np.linspace(1, length - 2, PULSES).astype(int)]))
+
+
+def _pulse(r: Recording, sample: int, axis: int, size: float) -> Recording:
+    changed = r.input.copy()
+    changed[sample, axis] += size
+    return replace(r, input=changed)
+
+
+def _columns(r: Recording, at: Array, response: torch.Tensor, force_sigma: Array) -> torch.Tensor:
+    """Response to one deviation of every independent piece of noise, [T, C, pieces]."""
+    length, longest = len(r.t), response.shape[2]
+    block = -(-length // PIECES)
+    out = []
+    for start in range(0, length, block):
+        samples = [k for k in range(start, min(start + block, length)) if r.contact[k]]
+        if not samples:
+            continue
+        total = torch.zeros_like(response[0])
+        for k in samples:
+            i = int(np.searchsorted(at, k, side="right")) - 1
+            total[:, k:length] += response[i][:, at[i] : at[i] + length - k]
+        scale = torch.as_tensor(force_sigma / np.sqrt(len(samples)), device=total.device)
+        out.append(total * scale[:, None, None])
+    if not out:
+        return response.new_zeros(longest, response.shape[-1], 0)
+    return torch.cat(out).permute(1, 2, 0)
+
+
+def _decompose(scaled: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Columns U and squared singular values of D^-1 B, shape [T C, pieces]."""
+    value, vector = torch.linalg.eigh(scaled.T @ scaled)
+    keep = value > 1e-2  # what adds less than a percent to the variance of any combination
+    return scaled @ (vector[:, keep] * value[keep].rsqrt()), value[keep]
+
+
+def _power(basis: torch.Tensor, gain: torch.Tensor, scaled: torch.Tensor) -> torch.Tensor:
+    """Half the squares of whitened columns: (1 + U S^2 U^T)^-1 = 1 - U S^2 / (1 + S^2) U^T."""
+    inside = ((basis.T @ scaled) ** 2).sum(1)
+    return 0.5 * ((scaled**2).sum() - (gain / (1.0 + gain) * inside).sum())
+
+
+def _stacked(parts: list[tuple[torch.Tensor, torch.Tensor]], power: torch.Tensor) -> Colour:
+    most = max(1, *(len(g) for _, g in parts))
+    pad = torch.nn.functional.pad
+    bases = torch.stack([pad(b, (0, most - b.shape[1])) for b, _ in parts])
+    return Colour(bases, torch.stack([pad(g, (0, most - len(g))) for _, g in parts]), power)

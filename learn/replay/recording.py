@@ -1,0 +1,66 @@
+"""One trajectory of a case as inference uses it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...sim.base.types import Array
+from ..cases.case import BranchCase, JointCase
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One trajectory as inference uses it.
+
+    Attributes:
+        t: Times [s], shape [T].
+        input: What acts at the samples: force [N] shape [T, 3], or efforts of the driven joints, shape [T, I].
+        output: Measured channels, shape [T, C].
+        start: Coordinate and rate of the joints at the first sample, shape [J, 2]; empty where it starts at rest.
+        contact: Whether the gripper may hold the branch, so that the force is a measurement, shape [T].
+        grasp: Link that is held and the grasp point in its body frame [m]; None where joints are driven.
+        t_start: When it starts on the case's absolute clock [s].
+        sensed: What a branch's force sensor read, gripper open or not [N], shape [T, 3]; None: the same as ``input``.
+    """
+
+    t: Array
+    input: Array
+    output: Array
+    start: Array
+    contact: NDArray[np.bool_]
+    grasp: tuple[int, Array] | None = None
+    t_start: float = 0.0
+    sensed: Array | None = None
+
+
+def recordings(case: BranchCase | JointCase) -> list[Recording]:
+    """Return a case's trajectories; a branch's force is exactly zero where the gripper is known to be open."""
+    if isinstance(case, BranchCase):
+        return [
+            Recording(t.t, np.where(t.no_contact[:, None], 0.0, t.force), np.hstack([t.displacement, t.velocity]),
+                      np.zeros((0, 2)), ~t.no_contact, t.grasp, t.t_start, t.force)
+            for t in case.trajectories
+        ]  # fmt: skip
+    return [
+        Recording(t.t, t.effort, t.output,
+                  _first_state(case, t.output, t.t), np.zeros(len(t.t), dtype=bool), None, t.t_start)
+        for t in case.trajectories
+    ]  # fmt: skip
+
+
+def _first_state(case: JointCase, output: Array, t: Array) -> Array:
+    """Guess coordinate and rate of every joint at the first sample by a parabola through the first samples."""
+    start = np.zeros((len(case.joints), 2))
+    n = max(3, min(len(t), int(0.02 * len(t)) + 1, 40))
+    names = [j.name for j in case.joints]
+    for c, channel in enumerate(case.outputs):
+        joint = names.index(channel.joint)
+        if channel.quantity == "position":
+            coefficients = np.polynomial.polynomial.polyfit(t[:n], output[:n, c], 2 if n > 4 else 1)
+            start[joint] = coefficients[:2]
+        elif channel.quantity == "velocity":
+            start[joint, 1] = output[:n, c].mean()
+    return start

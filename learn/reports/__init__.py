@@ -1,0 +1,4 @@
+"""The HTML page of a result, and its figures.
+
+Uses: `sim.base`.
+"""

@@ -1,0 +1,4 @@
+"""What long runs share: checkpoints, run folders, threads, processes.
+
+Uses: `sim.base`.
+"""

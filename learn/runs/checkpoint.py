@@ -1,0 +1,86 @@
+"""What a long run has reached, kept beside its output so that a killed run goes on to the same bits."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ...sim.base.errors import InputError
+
+
+@dataclass
+class Checkpoint:
+    """Named states in a hidden folder beside the output, each replaced whole or not at all.
+
+    Attributes:
+        folder: Where they are kept; None keeps nothing.
+        key: What the run is made of; a run of another key is not gone on with.
+        every: Seconds between two writes of the same state.
+    """
+
+    folder: Path | None = None
+    key: str = ""
+    every: float = 1.0
+    _written: dict[str, float] = field(default_factory=dict)
+
+    def open(self, resume: bool) -> bool:
+        """Begin anew, or go on where a run was left; return whether there was one to go on with.
+
+        Raises:
+            InputError: The run that was left is of another case or other settings.
+        """
+        assert self.folder is not None
+        mark = self.folder / "key"
+        found = mark.read_text() if mark.exists() else None
+        if resume and found is not None:
+            if found != self.key:
+                allowed = "the case and settings it was begun with, or no --resume"
+                raise InputError(
+                    self.folder, "--resume", "an unfinished run of another case or other settings", allowed
+                )
+            return True
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.folder.mkdir(parents=True)
+        mark.write_text(self.key)
+        return False
+
+    def load(self, name: str) -> dict[str, Any] | None:
+        """Return a state (tensors, numbers, text and lists of them), or None where there is none."""
+        if self.folder is None or not (self.folder / name).exists():
+            return None
+        state: dict[str, Any] = torch.load(self.folder / name, weights_only=True)
+        return state
+
+    def due(self, name: str) -> bool:
+        """Return whether a state should be written now."""
+        return self.folder is not None and time.monotonic() - self._written.get(name, 0.0) >= self.every
+
+    def save(self, name: str, state: dict[str, Any]) -> None:
+        """Write a state."""
+        if self.folder is None:
+            return
+        part = self.folder / f".{name}.part"
+        torch.save(state, part)
+        os.replace(part, self.folder / name)
+        self._written[name] = time.monotonic()
+
+    def close(self) -> None:
+        """Remove everything: the run is finished."""
+        if self.folder is not None:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def digest(folder: Path, *parts: object) -> str:
+    """Return a key of a folder's files and anything else that can be printed."""
+    h = hashlib.sha256()
+    for path in sorted(p for p in folder.iterdir() if p.is_file()):
+        h.update(path.name.encode() + b"\0" + path.read_bytes())
+    h.update(repr(parts).encode())
+    return h.hexdigest()

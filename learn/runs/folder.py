@@ -1,0 +1,226 @@
+"""The folder of a training run: its settings, its numbers an iteration, its newest checkpoint."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ...sim.base.errors import InputError
+from ...sim.base.files import read_text
+from .processes import Processes
+
+CONFIG, METRICS_FILE, CHECKPOINTS, MANIFEST = "config.json", "metrics.csv", "checkpoints", "manifest.json"
+MODEL = "model"
+FORMAT, CHECKPOINT_FORMAT = "bough-run/1", "bough-checkpoint/1"
+_SETTINGS = {"task", "ppo", "seed", "device", "processes", "versions"}
+_A_RUN = "a folder that bough train wrote"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Files of a run; every one is replaced whole or not at all.
+
+    Attributes:
+        path: The folder.
+    """
+
+    path: Path
+
+    @property
+    def exists(self) -> bool:
+        """Whether a run was begun here."""
+        return (self.path / CONFIG).is_file()
+
+    def config(self) -> dict[str, Any]:
+        """Return the settings that the run was begun with.
+
+        Raises:
+            InputError: There is no run here, or its settings are not readable.
+        """
+        file = self.path / CONFIG
+        if not file.exists():
+            raise InputError(self.path, "", f"no {CONFIG}" if self.path.is_dir() else "no such folder", _A_RUN)
+        found = _json(file, _A_RUN)
+        if found.get("format") != FORMAT or not set(found) >= _SETTINGS:
+            raise InputError(file, "format", str(found.get("format")), FORMAT)
+        return found
+
+    def write_config(self, config: dict[str, Any]) -> None:
+        """Write the settings."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        replace_text(self.path / CONFIG, json.dumps({"format": FORMAT, **config}, indent=2) + "\n")
+
+    def metrics(self) -> list[dict[str, float | None]]:
+        """Return a row an iteration; None where an iteration saw no episode end."""
+        file = self.path / METRICS_FILE
+        if not file.exists():
+            return []
+        with file.open(newline="") as lines:
+            return [{k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(lines)]
+
+    def keep_metrics(self, done: int) -> None:
+        """Forget the rows after a number of iterations, as if they had not been."""
+        file = self.path / METRICS_FILE
+        if not file.exists():
+            return
+        head, *rows = file.read_text().splitlines() or [""]
+        kept = [row for row in rows if row.split(",")[0].isdigit() and int(row.split(",")[0]) <= done]
+        replace_text(file, "".join(f"{line}\n" for line in [head, *kept]) if done and kept else "")
+
+    def add_metrics(self, row: dict[str, float | None]) -> None:
+        """Append the row of an iteration; ``iteration`` is its first column."""
+        file = self.path / METRICS_FILE
+        fresh = not file.exists() or file.stat().st_size == 0
+        line = io.StringIO()
+        writer = csv.DictWriter(line, list(row), lineterminator="\n")
+        if fresh:
+            writer.writeheader()
+        writer.writerow(row)
+        with file.open("a", newline="") as out:
+            out.write(line.getvalue())
+
+    def newest(self) -> CheckpointFolder | None:
+        """Return the newest checkpoint, None before the first."""
+        folder = self.path / CHECKPOINTS
+        numbers = [p for p in folder.iterdir() if p.name.isdigit()] if folder.is_dir() else []
+        return CheckpointFolder(max(numbers, key=lambda p: int(p.name))) if numbers else None
+
+    def checkpoint(self, done: int) -> CheckpointFolder:
+        """Return the checkpoint after some iterations."""
+        return CheckpointFolder(self.path / CHECKPOINTS / f"{done:06d}")
+
+    def save(self, done: int, states: dict[str, dict[str, Any]], about: dict[str, Any], processes: Processes) -> None:
+        """Write the checkpoint after some iterations; then remove the ones before.
+
+        The folder has its name only when every process has written its part, so a run killed meanwhile still has the
+        checkpoint before.
+
+        Args:
+            done: Iterations done.
+            states: States by name; the names of different processes differ.
+            about: Task and version, for `CheckpointFolder.check`.
+            processes: Those of the run; all of them call this.
+        """
+        folder = self.path / CHECKPOINTS
+        part = folder / f".{done:06d}.part"
+        if processes.first:
+            for left in folder.glob(".*.part"):
+                shutil.rmtree(left)
+            part.mkdir(parents=True)
+        processes.wait()
+        for name, state in states.items():
+            _write_state(part, name, state)
+        processes.wait()
+        if processes.first:
+            manifest = {"format": CHECKPOINT_FORMAT, **about, "iteration": done, "processes": processes.count}
+            _write_bytes(part / MANIFEST, (json.dumps(manifest, indent=2) + "\n").encode())
+            os.replace(part, self.checkpoint(done).path)
+            _sync_folder(folder)
+            for old in folder.iterdir():
+                if old.name.isdigit() and int(old.name) < done:
+                    shutil.rmtree(old)
+        processes.wait()
+
+
+@dataclass(frozen=True)
+class CheckpointFolder:
+    """A finished checkpoint: a manifest, and states with their digests.
+
+    Attributes:
+        path: Its folder.
+    """
+
+    path: Path
+
+    @property
+    def number(self) -> int:
+        """Iterations done, as the name says."""
+        return int(self.path.name)
+
+    def check(self, task: str, version: int) -> int:
+        """Return how many iterations were done.
+
+        Raises:
+            InputError: It is damaged, or of another task or version.
+        """
+        file = self.path / MANIFEST
+        found = _json(file, "a checkpoint as bough train writes it")
+        if found.get("format") != CHECKPOINT_FORMAT:
+            raise InputError(file, "format", str(found.get("format")), CHECKPOINT_FORMAT)
+        if found.get("task") != task:
+            raise InputError(file, "task", str(found.get("task")), task)
+        if found.get("version") != version:
+            raise InputError(file, f"version of {task}", str(found.get("version")), f"{version}, this bough's")
+        return int(found["iteration"])
+
+    def load(self, name: str) -> dict[str, Any]:
+        """Return a state: tensors, numbers and text, never anything that runs.
+
+        Raises:
+            InputError: It is missing, damaged, or holds anything else.
+        """
+        file = self.path / f"{name}.pt"
+        try:
+            data = file.read_bytes()
+            noted = file.with_suffix(".sha256").read_text().strip()
+        except OSError as error:
+            raise InputError(error.filename, "", str(error.strerror).lower(), "a whole checkpoint") from None
+        except UnicodeDecodeError:
+            noted = ""
+        if hashlib.sha256(data).hexdigest() != noted:
+            raise InputError(file, "", "a damaged checkpoint (its digest does not fit)", "the file as it was written")
+        try:
+            state: dict[str, Any] = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+        except Exception as error:  # torch names no common class for what it refuses to read
+            first = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(file, "", f"not a checkpoint ({first[:80]})", "tensors, numbers and text") from None
+        return state
+
+
+def _write_state(folder: Path, name: str, state: dict[str, Any]) -> None:
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    data = buffer.getvalue()
+    _write_bytes(folder / f"{name}.pt", data)
+    _write_bytes(folder / f"{name}.sha256", hashlib.sha256(data).hexdigest().encode())
+
+
+def _write_bytes(file: Path, data: bytes) -> None:
+    with file.open("wb") as out:
+        out.write(data)
+        out.flush()
+        os.fsync(out.fileno())
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def replace_text(file: Path, text: str) -> None:
+    """Write a text file whole or not at all."""
+    part = file.with_name(f".{file.name}.part")
+    _write_bytes(part, text.encode())
+    os.replace(part, file)
+
+
+def _json(file: Path, allowed: str) -> dict[str, Any]:
+    try:
+        found = json.loads(read_text(file))
+    except json.JSONDecodeError as error:
+        raise InputError(file, f"line {error.lineno}", "text that is not JSON", allowed) from None
+    if not isinstance(found, dict):
+        raise InputError(file, "", "JSON without fields", allowed)
+    return found

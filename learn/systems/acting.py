@@ -1,0 +1,261 @@
+"""Effects that act in a case: which, where, and which of their parameters are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+import torch
+
+from ...sim.base.errors import InputError
+from ...sim.base.types import Array
+from ...sim.effects import Effect, EffectParameter, Law, Setting, effect_of
+from ...sim.effects.registry import Form
+from ...sim.engine.model import Model
+from ..cases.case import BranchCase, JointCase
+from .system import Parameter, Write
+
+#: Name under which `Write` knows the kernels' array of effect parameters.
+FIELD = "effect"
+
+
+@dataclass(frozen=True)
+class Acting:
+    """One effect at one place; parameters that are not given are unknown.
+
+    Attributes:
+        name: Of the effect.
+        joint: Joint that it acts at, 0 nearest the base; None for effects that are not at a joint.
+        known: Values of parameters in SI units, by name.
+    """
+
+    name: str
+    joint: int | None = None
+    known: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def label(self) -> str:
+        """Name and joint, such as ``dry_friction@1``."""
+        return self.name if self.joint is None else f"{self.name}@{self.joint}"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One parameter of one acting effect: where it stands in the array, and its value or its column.
+
+    Attributes:
+        place: First entry of the parameter's row of joints, in units of the array's stride.
+        joint: Joint, or None for place 0.
+        spec: What it is.
+        known: Value, None where it is inferred.
+    """
+
+    place: int
+    joint: int | None
+    spec: EffectParameter
+    known: float | None
+
+
+class ActingSet:
+    """The effects that act in a system.
+
+    Attributes:
+        acting: The effects and where they act.
+        settings: What is known of every joint.
+        names: Of the effects, each once: what the kernels are built with.
+        form: ``branch`` or ``joint``.
+        parameters: Unknowns, in the order of the columns that `write` takes.
+        entries: All parameters, in the order of the acting effects.
+    """
+
+    def __init__(self, acting: Sequence[Acting], form: Form, settings: Sequence[Setting], source: str = "effects"):
+        self.form, self.acting, self.settings = form, tuple(acting), tuple(settings)
+        self.names = tuple(e.name for e in _ordered(self.acting, source))
+        self.laws: dict[str, Law] = {name: effect_of(name).law(form) for name in self.names}
+        labels = [a.label for a in self.acting]
+        if len(set(labels)) < len(labels):
+            twice = next(x for x in labels if labels.count(x) > 1)
+            raise InputError(source, "effects", f"'{twice}' a second time", "each effect once at a joint")
+        self.entries: list[Entry] = []
+        found: list[Parameter] = []
+        for a in self.acting:
+            self._check(a, len(settings), source)
+            setting = settings[a.joint or 0]
+            for n, spec in enumerate(self.laws[a.name].parameters):
+                known = a.known.get(spec.name)
+                self.entries.append(Entry(6 * self.names.index(a.name) + n, a.joint, spec, known))
+                if known is None:
+                    found.append(parameter_of(a, spec, setting))
+        self.parameters = tuple(found)
+
+    def _check(self, a: Acting, joints: int, source: str) -> None:
+        law = self.laws[a.name]
+        place = f"effect {a.label}"
+        if law.per_joint and not (a.joint is not None and 0 <= a.joint < joints):
+            raise InputError(source, place, f"joint {a.joint}", f"a joint, 0 to {joints - 1}")
+        if not law.per_joint and a.joint is not None:
+            raise InputError(source, place, f"joint {a.joint}", "no joint: it acts on the whole branch")
+        names = [p.name for p in law.parameters]
+        for name, value in a.known.items():
+            if name not in names:
+                raise InputError(source, place, f"parameter '{name}'", f"one of {', '.join(names)}")
+            if not np.isfinite(value):
+                raise InputError(source, place, f"{name} {value}", "a finite number")
+
+    def has(self, kind: str) -> bool:
+        """Return whether an effect of a kind acts."""
+        return any(law.kind == kind for law in self.laws.values())
+
+    @property
+    def persists(self) -> bool:
+        """Whether damage of one recording is there in the next."""
+        return any(law.persistent for law in self.laws.values())
+
+    @property
+    def settles(self) -> bool:
+        """Whether the branch rests elsewhere than in its given pose."""
+        return any(law.settles for law in self.laws.values())
+
+    def neutral(self) -> list[float]:
+        """Return the neutral value of each of the array's rows; rows that no parameter uses are zero."""
+        out = [0.0] * (6 * len(self.names))
+        for n, name in enumerate(self.names):
+            for k, spec in enumerate(self.laws[name].parameters):
+                out[6 * n + k] = spec.neutral
+        return out
+
+    def values(self, columns: torch.Tensor) -> list[torch.Tensor]:
+        """Return the value [sets] of every entry from the unknowns' columns [sets, n]."""
+        unknown = iter(columns.unbind(1))
+        ones = columns.new_ones(len(columns))
+        return [next(unknown) if e.known is None else ones * e.known for e in self.entries]
+
+    def write(self, columns: torch.Tensor, model: Model, write: Write, links: Sequence[int]) -> None:
+        """Write the unknowns [sets, n] and what is known; ``links`` holds the link that each joint moves."""
+        stride = model.places + 1
+        for entry, value in zip(self.entries, self.values(columns), strict=True):
+            at = 0 if entry.joint is None else int(model.link_place[links[entry.joint]])
+            write(FIELD, entry.place * stride + at, 0, value)
+
+    def marks(self, columns: torch.Tensor) -> torch.Tensor:
+        """Return 1 for every set in which the branch rests elsewhere than in its given pose, else 0, [sets]."""
+        out = columns.new_zeros(len(columns))
+        for entry, value in zip(self.entries, self.values(columns), strict=True):
+            law = self.laws[self.names[entry.place // 6]]
+            if law.settles or (law.persistent and entry.place % 6 == 0):
+                out = torch.maximum(out, (value != entry.spec.neutral).to(out.dtype))
+        return out
+
+    def switched_on(self, columns: torch.Tensor) -> torch.Tensor:
+        """Return whether some parameter of each effect is not neutral, [sets, names]."""
+        out = columns.new_zeros((len(columns), len(self.names)), dtype=torch.bool)
+        for entry, value in zip(self.entries, self.values(columns), strict=True):
+            out[:, entry.place // 6] |= value != entry.spec.neutral
+        return out
+
+    def value(self, name: str, parameter: str, columns: torch.Tensor) -> torch.Tensor:
+        """Return a parameter of an effect that acts once, [sets]."""
+        row = 6 * self.names.index(name) + [p.name for p in self.laws[name].parameters].index(parameter)
+        found = [v for e, v in zip(self.entries, self.values(columns), strict=True) if e.place == row]
+        return found[0]
+
+
+def _ordered(acting: Sequence[Acting], source: str) -> list[Effect]:
+    from ...sim.effects import effects
+
+    wanted = {effect_of(a.name, source).name for a in acting}
+    return [e for e in effects() if e.name in wanted]
+
+
+def parameter_of(a: Acting, spec: EffectParameter, setting: Setting) -> Parameter:
+    """Return the unknown of an effect's parameter, its box relative to the setting."""
+
+    def number(bound: object) -> float:
+        return float(bound(setting)) if callable(bound) else float(bound)  # type: ignore[arg-type]
+
+    low, high = number(spec.low), number(spec.high)
+    typical = None if spec.typical is None else min(max(number(spec.typical), low), high)
+    return Parameter(f"{a.label} {spec.name}", spec.unit, low, high, typical, spec.scale)
+
+
+def branch_settings(case: BranchCase) -> list[Setting]:
+    """Return what is known of every joint of a measured branch, base first."""
+    force = max(float(np.linalg.norm(t.force, axis=1).max()) for t in case.trajectories)
+    moved = max(float(np.linalg.norm(t.displacement, axis=1).max()) for t in case.trajectories)
+    speed = max(float(np.linalg.norm(t.velocity, axis=1).max()) for t in case.trajectories)
+    reach = case.length[: case.grasp_segment].sum() + case.grasp_distance
+    below = np.cumsum(case.length) - case.length
+    last = case.trajectories[-1]
+    out = []
+    for i in range(case.num_segments):
+        lever = max(reach - below[i], 0.5 * float(case.length[i]))
+        out.append(
+            Setting(
+                torque=max(force, 1e-9) * float(lever), angle=max(moved, 1e-6) / float(reach),
+                rate=max(speed, 1e-6) / float(reach), force=max(force, 1e-9), speed=max(speed, 1e-6),
+                area=float((case.length * case.radius.sum(axis=1)).sum()), mass=float(case.mass.sum()),
+                length=float(case.length[case.grasp_segment]), gravity=case.gravity or 9.81, dt=case.dt,
+                start=case.trajectories[0].t_start, end=last.t_start + float(last.t[-1]), duration=float(last.t[-1]),
+                moments=_moments(case),
+            )
+        )  # fmt: skip
+    return out
+
+
+def _moments(case: BranchCase) -> tuple[float, ...]:
+    """Moments at which a branch may change for good: more in the first recording, where little else shows before."""
+    first = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8)
+    shares = [first] + [(0.05, 0.12, 0.25, 0.4, 0.65)] * (len(case.trajectories) - 1)
+    return tuple(t.t_start + s * float(t.t[-1]) for t, own in zip(case.trajectories, shares, strict=True) for s in own)
+
+
+def joint_settings(case: JointCase, carried: Sequence[float]) -> list[Setting]:
+    """Return what is known of every joint; ``carried`` holds the inertia at each, nominal.
+
+    Where nothing drives a joint its torque is what its inertia needs at the accelerations seen.
+    """
+    duration = max(float(t.t[-1]) for t in case.trajectories)
+    start = min(t.t_start for t in case.trajectories)
+    out = []
+    for joint, inertia in zip(case.joints, carried, strict=True):
+        angle, rate, acceleration = _motion(case, joint.name)
+        torque = inertia * acceleration
+        for c, item in enumerate(case.inputs):
+            if item.joint == joint.name:
+                torque = max(float(np.abs(t.effort[:, c]).max()) for t in case.trajectories)
+        out.append(Setting(torque=torque, angle=angle, rate=rate, force=torque, dt=case.dt, start=start,
+                           end=start + duration, duration=duration))  # fmt: skip
+    return out
+
+
+def _motion(case: JointCase, name: str) -> tuple[float, float, float]:
+    """Largest angle, rate and acceleration of a joint; what is not measured follows from what is."""
+    series: dict[str, list[Array]] = {
+        o.quantity: [t.output[:, c] for t in case.trajectories] for c, o in enumerate(case.outputs) if o.joint == name
+    }
+    share: dict[str, float] = dict.fromkeys(series, 1.0)
+    if "position" in series and "velocity" not in series:
+        series["velocity"], share["velocity"] = [np.diff(x) / case.dt for x in series["position"]], 0.99  # of noise
+    for quantity, derivative in (("velocity", "acceleration"), ("position", "velocity")):
+        if quantity not in series and derivative in series:
+            series[quantity], share[quantity] = [integral(x, case.dt) for x in series[derivative]], 1.0
+    found = {q: max(*(float(np.quantile(np.abs(x), share[q])) for x in s), 1e-9) for q, s in series.items()}
+    rate = found.get("velocity", 1.0)
+    angle = found.get("position", rate)
+    return angle, rate, found.get("acceleration", rate * rate / angle)
+
+
+def integral(x: Array, dt: float) -> Array:
+    """Return the integral [N] of samples over time, without what is slower than a fifth of the median frequency.
+
+    Drift of a sensor, and the ends of a recording that do not meet, integrate to any size; what a joint swings by
+    does not. Half of the power is below the median frequency.
+    """
+    frequency, spectrum = np.fft.rfftfreq(len(x), dt), np.fft.rfft(x - x.mean())
+    power = np.cumsum(np.abs(spectrum) ** 2)
+    keep = frequency > 0.2 * frequency[np.searchsorted(power, 0.5 * power[-1])]
+    spectrum[keep] /= 2j * np.pi * frequency[keep]
+    spectrum[~keep] = 0.0
+    return np.fft.irfft(spectrum, len(x))

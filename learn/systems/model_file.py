@@ -1,0 +1,102 @@
+"""A model of a branch as `sim.wood.branch_file` reads it from ``model.yaml``, for the case that it is used with.
+
+Masses and gravity are the case's; so is the geometry, and a file that states another one does not fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from ...sim.base.errors import InputError
+from ...sim.base.types import Array
+from ...sim.wood.branch_file import FORMAT, GEOMETRY, read_branch_file
+from ..cases.case import BranchCase, JointCase
+from .acting import Acting
+
+#: Lengths and radii that differ by less than this share are the same: a file may have been written with fewer digits.
+SAME = 1e-4
+
+
+@dataclass(frozen=True)
+class BranchModel:
+    """A branch's springs, dampers and effects.
+
+    Attributes:
+        name: Of the branch.
+        segment_name: Names of the segments, base first, length R.
+        stiffness: Springs [N m/rad], shape [R].
+        damping: Dampers [N m s/rad], shape [R].
+        effects: Effects; all their parameters are known.
+        size: Length, radius of the lower and of the upper end of every segment [m], shape [R, 3]; None if not known.
+    """
+
+    name: str
+    segment_name: tuple[str, ...]
+    stiffness: Array
+    damping: Array
+    effects: tuple[Acting, ...] = ()
+    size: Array | None = None
+
+
+def read_model(path: str | Path) -> BranchModel:
+    """Read a ``model.yaml``.
+
+    Raises:
+        InputError: See `sim.wood.branch_file.read_branch_file`.
+    """
+    file = read_branch_file(path)
+    return BranchModel(
+        file.name,
+        tuple(s.name for s in file.segments),
+        np.array([s.stiffness_Nmprad for s in file.segments]),
+        np.array([s.damping_Nmsprad for s in file.segments]),
+        tuple(Acting(e.name, e.joint, dict(e.parameters)) for e in file.effects),
+        None if file.sizes is None else np.array(file.sizes),
+    )
+
+
+def write_model(path: str | Path, model: BranchModel) -> None:
+    """Write a ``model.yaml``; numbers keep all their digits."""
+    segments = [
+        {"name": n, "stiffness_Nmprad": float(k), "damping_Nmsprad": float(d)}
+        for n, k, d in zip(model.segment_name, model.stiffness, model.damping, strict=True)
+    ]
+    if model.size is not None:
+        for segment, row in zip(segments, model.size, strict=True):
+            segment.update(zip(GEOMETRY, map(float, row), strict=True))
+    acting = [{"name": a.name, "joint": a.joint, "parameters": {k: float(v) for k, v in a.known.items()}}
+              for a in model.effects]  # fmt: skip
+    content = {"format": FORMAT, "name": model.name, "segments": segments, "effects": acting}
+    Path(path).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+
+
+def model_of(path: str | Path, case: BranchCase | JointCase) -> BranchModel:
+    """Read the model of a case.
+
+    Raises:
+        InputError: The case is one of joints, the file is faulty, or it is another branch's.
+    """
+    if not isinstance(case, BranchCase):
+        raise InputError("--model", "", f"{path} with a case of joints", "only with a branch (branch-gap-case/1)")
+    model = read_model(path)
+    check_fits(model, case, path)
+    return model
+
+
+def check_fits(model: BranchModel, case: BranchCase, source: str | Path) -> None:
+    """Raise `InputError` where a model's segments are not the case's: other names, or other lengths and radii."""
+    if model.segment_name != case.segment_name:
+        found = f"{', '.join(model.segment_name)}"
+        raise InputError(source, "segments", found, f"the case's, base first: {', '.join(case.segment_name)}")
+    if model.size is None:
+        return
+    own = np.column_stack([case.length, case.radius])
+    other = np.argwhere(~np.isclose(model.size, own, rtol=SAME, atol=0.0))
+    if len(other):
+        i, c = other[0].tolist()
+        place, found = f"segments, {model.segment_name[i]} {GEOMETRY[c]}", f"{model.size[i, c]:g}"
+        raise InputError(source, place, found, f"the case's, {own[i, c]:g}")

@@ -1,0 +1,92 @@
+"""What training asks of a task, and the seeds of its worlds."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING, Any, Protocol
+
+from ...sim.base.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import torch
+    from numpy.typing import NDArray
+    from tensordict import TensorDict
+
+METRICS = ("return", "success", "occlusion_drop", "breach", "steps_clear")
+"""What a task says of every finished episode: sum of rewards; 1 or 0; share of the starting occlusion that is gone;
+share of steps inside the safety margin; steps without occlusion."""
+
+
+class Task(Protocol):
+    """An rsl-rl ``VecEnv`` with a name, a version and a state that can be kept.
+
+    Worlds restart by themselves when their episode ends. Buffers may be written in place by the next step.
+
+    Attributes:
+        name: Name in the registry.
+        version: Raised whenever observations, actions or rewards change their meaning.
+        num_envs: Worlds W.
+        num_actions: Actions A, each of -1 to 1.
+        max_episode_length: Policy steps of an episode.
+        episode_length_buf: Steps since a world's episode began, shape [W]; may be written in place.
+        step_seconds: Simulated time of a policy step [s].
+        device: Where its tensors are.
+        cfg: Its settings.
+    """
+
+    name: str
+    version: int
+    num_envs: int
+    num_actions: int
+    max_episode_length: int | torch.Tensor
+    episode_length_buf: torch.Tensor
+    step_seconds: float
+    device: torch.device | str
+    cfg: Any
+
+    def get_observations(self) -> TensorDict:
+        """Return the observations, a group ``policy`` of shape [W, O]; after `restore` those of the snapshot."""
+
+    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """Act, shape [W, A]; return observations, rewards [W], dones [W] and extras.
+
+        Extras hold ``time_outs`` [W], 1 where an episode ended by its length alone, and ``log``, a tensor [W] for each
+        of `METRICS`, which counts where a world is done.
+        """
+
+    def snapshot(self) -> dict[str, torch.Tensor]:
+        """Return copies of everything that the future depends on, counters of random numbers included."""
+
+    def restore(self, snapshot: dict[str, torch.Tensor]) -> None:
+        """Go back to a snapshot of a task made with the same arguments."""
+
+    def render(self, world: int) -> NDArray[np.uint8]:
+        """Return a picture of one world, shape [H, Wd, 3]."""
+
+
+def require_rsl_rl() -> None:
+    """Raise `InputError` where the optional part that training needs is not installed."""
+    try:
+        import rsl_rl.env  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise InputError("bough", "", f"no {error.name}", "pip install 'bough[train]'") from None
+
+
+def task_seed(seed: int, rank: int) -> int:
+    """Return the seed of the worlds that a process trains on, an even number of 31 bits."""
+    return 2 * _hashed("train", seed, rank)
+
+
+def unseen_seed(seed: int, index: int) -> int:
+    """Return the seed of a test set: an odd number of 31 bits, so never one that anything is trained with."""
+    return 2 * _hashed("test", seed, index) + 1
+
+
+def policy_seed(seed: int, rank: int) -> int:
+    """Return the seed of a process's policy: first parameters, actions, order of the samples."""
+    return _hashed("policy", seed, rank)
+
+
+def _hashed(*parts: object) -> int:
+    return int.from_bytes(hashlib.sha256(repr(parts).encode()).digest()[:4], "big") >> 2

@@ -1,0 +1,120 @@
+"""Chapter 5 of the thesis again: tables 5.2 and 5.3 and figure 5.4, at any scale, beside the thesis's figures."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from ....sim.base.errors import InputError
+from ....sim.base.files import output_folder
+from ....sim.base.host import describe
+from ....version import __version__
+from ...policies.train import LostError
+from ...runs.folder import RunFolder
+from ...tasks.registry import TaskRegistry
+from . import embedding
+from .findings import Findings
+from .runs import TABLE_5_2, Options, Run, check_kept, learn, minutes, outcome, runs_under
+
+LEARNING, TESTING, EMBEDDING = "learning", "testing", "table 5.3"
+Advance = Callable[[str, int], None]
+
+
+def stages(options: Options) -> dict[str, int | None]:
+    """Return the number of steps of every stage: iterations, test sets, measurements."""
+    tests = sum(sets * (1 + len(options.policies(run))) for run, sets in options.runs.items())
+    return {
+        LEARNING: len(options.runs) * options.ppo.iterations,
+        TESTING: tests,
+        EMBEDDING: 2 * len(embedding.WORLDS),
+    }
+
+
+def find(out: Path, options: Options, registry: TaskRegistry, advance: Advance = lambda stage, count: None) -> Findings:
+    """Train and test every run under ``out`` that is not there yet, and measure the embeddings.
+
+    Raises:
+        LostError: A loss left the finite; the message names the run.
+    """
+    found = Findings(options)
+    folders = {run: RunFolder(runs_under(out) / run.name) for run in options.runs}
+    for stage, work in ((LEARNING, _learn), (TESTING, _test), (EMBEDDING, _measure)):
+        began = time.perf_counter()
+        work(found, folders, registry, lambda count, stage=stage: advance(stage, count))  # type: ignore[misc]
+        found.seconds[stage] = time.perf_counter() - began
+    return found
+
+
+_Folders = dict[Run, RunFolder]
+
+
+def _learn(found: Findings, folders: _Folders, registry: TaskRegistry, advance: Callable[[int], None]) -> None:
+    for run, folder in folders.items():
+        try:
+            learn(folder, found.options.plan(run, registry), registry, advance)
+        except LostError as error:
+            raise LostError(f"{run.name}: {error}") from None
+        found.minutes[run] = minutes(folder)
+    found.metrics = {row.run: folders[row.run].metrics() for row in TABLE_5_2}
+    found.config = folders[TABLE_5_2[-1].run].config()
+
+
+def _test(found: Findings, folders: _Folders, registry: TaskRegistry, advance: Callable[[int], None]) -> None:
+    for run, folder in folders.items():
+        found.rows[run] = outcome(folder, found.options, run, registry, advance)
+
+
+def _measure(found: Findings, folders: _Folders, registry: TaskRegistry, advance: Callable[[int], None]) -> None:
+    plan = found.options.plan(TABLE_5_2[-1].run, registry)
+    found.times = embedding.measure(
+        plan.task, plan.settings, registry, seed=plan.seed, device=plan.device, advance=lambda: advance(1)
+    )
+
+
+def check(out: Path, options: Options, registry: TaskRegistry, *, resume: bool) -> None:
+    """Check options and folder before anything is written.
+
+    Raises:
+        InputError: They cannot be used: runs are there that are not to be gone on with, or are others.
+    """
+    options.check()
+    if out.exists() and not out.is_dir():
+        raise InputError(out, "--out", "a file", "a folder, or a path where one can be made")
+    there = [(run, f) for run in options.runs if (f := RunFolder(runs_under(out) / run.name)).exists]
+    if there and not resume:
+        raise InputError(out, "--out", f"{len(there)} runs", "--resume to go on with them, or another folder")
+    for run, folder in there:
+        check_kept(folder, options.plan(run, registry), registry)
+
+
+def reproduce(
+    out: Path, options: Options, registry: TaskRegistry, *, resume: bool = False,
+    advance: Advance = lambda stage, count: None,
+) -> str:  # fmt: skip
+    """Reproduce the chapter into ``out``; return the headline.
+
+    Args:
+        out: Folder to write to; the training runs are in its folder ``runs`` and stay whatever happens.
+        options: Size of the reproduction.
+        registry: Where the task is found.
+        resume: Whether runs that are there are gone on with, or taken as they are if they are done.
+        advance: Called with the stage and the steps done since the last call.
+
+    Raises:
+        InputError: The options or the folder cannot be used; nothing is written then.
+        LostError: A loss left the finite in a run.
+    """
+    from ...reports.page import write_report
+    from .report import content, tables
+
+    check(out, options, registry, resume=resume)
+    found = find(out, options, registry, advance)
+    with output_folder(out) as work:
+        page = content(found)
+        kept = {"version": __version__, "machine": describe(), "options": vars(options), "seconds": found.seconds,
+                "tables": {name: vars(table) for name, table in tables(found).items()}}  # fmt: skip
+        (work / "tables.json").write_text(json.dumps(kept, indent=2, allow_nan=False) + "\n")
+        write_report(work, page)
+    return page.headline

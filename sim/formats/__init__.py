@@ -1,0 +1,4 @@
+"""Files in and out: MJCF, URDF, meshes.
+
+Uses: `sim.base`, `sim.trees`, `sim.newton`.
+"""

@@ -1,0 +1,462 @@
+"""Scenes: trees grown once on the host, and where tree and line of every world stand, drawn on the device.
+
+A scene is one tree within an arm's reach and a target (a power line, say) that its branches cover. Trees are grown and
+culled once a run; every world has one of them for good. A place of tree and target is drawn for chosen worlds in one
+launch (`kernels.tasks.scene`), from counters alone: seed, world and episode give the same place whenever it is
+asked for.
+
+Training and tests never share a seed: both the trees and the device's key come from ``SeedSequence([domain, seed])``,
+whose first word names the domain (`DOMAINS`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from ...kernels.tasks import scene as kernels
+from ..arms.arm import Arm, forward_kinematics
+from ..arms.arrays import arm_capsules
+from ..arms.simulator import ArmSimulator
+from ..base.errors import InputError
+from ..base.rotation import quat_rotate
+from ..base.types import Array, IntArray
+from ..engine.launcher import Recorded
+from ..formats.export_mesh import shape_ends
+from ..trees.cull import keep_links
+from ..trees.pose import rest_pose
+from ..trees.species import grow_forest
+from ..trees.stiffness import hold_rest_pose, rudimentary, toppling_stiffness
+from ..trees.tree import Joint, Tree
+from ..wood.effects import WoodEffects
+from ..wood.posterior import SpringPosterior, Wood
+
+Range = tuple[float, float]
+
+DOMAINS = {"training": 0x7472_6169, "test": 0x7465_7374}
+"""First word of the seed's sequence: "trai" and "test" in ASCII."""
+
+_PUSH = 0.1  # way that wood must give to be pushed aside [m]
+_RUNS = 32  # threads that share the attempts of a world on a GPU
+_ALONG = 9  # points on a capsule's axis that are asked whether the arm reaches them
+
+
+@dataclass(frozen=True)
+class Target:
+    """What the branches cover, and the region around it to clear: a surface around one axis, or several side by side.
+
+    Attributes:
+        length: Range of the axis' length [m]; 0 for a ball.
+        clearance: Distance of the region's surface from the axis [m]: the radius of a cylinder or ball.
+        rounded: Whether the surface is a ball around the axis' start instead of a cylinder's side.
+        strips: Number of parallel axes over the width; with several, the region is a panel.
+        width: Width that the strips share [m].
+        radius: Radius of the solid along the middle axis, which arm and branches collide with [m].
+    """
+
+    length: Range = (0.6, 1.0)
+    clearance: float = 0.05
+    rounded: bool = False
+    strips: int = 1
+    width: float = 0.0
+    radius: float = 0.01
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """Ranges of a scene. The arm's base is the origin, z is up; angles in degrees, the rest in SI units.
+
+    Attributes:
+        species: Ternary species of the trees (`sim.trees.species`).
+        order: Order of the trees: 2 has 17 links before culling, 3 has 53.
+        most_links: Links that a tree keeps at most: those nearest to where an arm may be.
+        distinct: Number of different trees, shared by all worlds.
+        noise: Standard deviation of the trees' parameters, relative (thesis 5.4.1: 0.1).
+        scale: Metres per unit of the species' lengths.
+        upper, lower, decay: Springs as in `stiffness.rudimentary` [N m/rad]; the defaults are its own.
+        wood: Wood of a measured branch that gives the springs and dampers instead (`SpringPosterior.wood`); empty for
+            none.
+        effects: What else the branches of that wood do (`sim.wood.effects.wood_effects`).
+        firm: Level force on the middle of a link above which it counts as too firm to be pushed 0.1 m aside [N]; such
+            wood occludes nothing at the start.
+        target: The target.
+        distance: Horizontal distance of the trunk from the arm's base [m].
+        bearing: Half-range of the trunk's direction about the way the arm faces at home.
+        height: Height of the trunk's upper end, the first fork, above the arm's base [m].
+        tilt: Greatest angle of the line to the horizontal axis through trunk and arm base (thesis 5.4.1: 15).
+        side: Greatest slope of the way from the covering branch to the line, seen along the line: 0 puts the line
+            beside the branch, level with it; 90 also above and below.
+        shift: Greatest shift of the line along itself, as a share of its length.
+        depth: How far the covering branch reaches into the region whose points count as occluding [m]; clearing takes a
+            push of at least that.
+        reach: Distance from the shoulder of the covered part of the line, and of the branch that covers it [m].
+        near: Distance of a branch point from a point of the target at which the pair counts as occluding (d_th) [m].
+        pairs: Number of such pairs expected at the start, of ``points`` x ``points`` points. A score of 1 takes 200;
+            with many more the score does not change until most of the way is done.
+        points: Points of each cloud.
+        gap: Free space between arm and branches at the start [m].
+        target_gap: Free space between arm and the target's axis at the start [m].
+        stiffness, damping: Factors on stiffness and on relaxation time, uniform in the logarithm.
+        friction: Coulomb friction of contacts.
+        attempts: Proposals a place is chosen from.
+    """
+
+    species: str = "Ta"
+    order: int = 2
+    most_links: int = 40
+    distinct: int = 64
+    noise: float = 0.1
+    scale: float = 0.004
+    upper: float = 120.0
+    lower: float = 5.0
+    decay: float = 1.0 / 3.0
+    wood: Wood = ()
+    effects: WoodEffects = ()
+    firm: float = 20.0
+    target: Target = Target()
+    distance: Range = (0.50, 0.65)
+    bearing: float = 10.0
+    height: Range = (-0.35, -0.05)
+    tilt: float = 15.0
+    side: float = 60.0
+    shift: float = 0.25
+    depth: Range = (0.02, 0.10)
+    reach: Range = (0.30, 0.75)
+    near: float = 0.10
+    pairs: Range = (150.0, 350.0)
+    points: int = 512
+    gap: float = 0.02
+    target_gap: float = 0.10
+    stiffness: Range = (0.7, 1.4)
+    damping: Range = (0.7, 1.4)
+    friction: Range = (0.3, 0.7)
+    attempts: int = 512
+
+    def check(self, reach: float = np.inf) -> SceneSettings:
+        """Return self if a scene can be made of it for an arm that reaches ``reach`` metres from its shoulder.
+
+        Raises:
+            InputError: A range is empty or out of bounds, the target's shape is unknown, the line is out of reach.
+        """
+        for name in ("distance", "height", "depth", "reach", "pairs", "stiffness", "damping", "friction"):
+            low, high = getattr(self, name)
+            _need(low <= high, name, f"{low:g} to {high:g}", "a range from low to high")
+        for name in ("stiffness", "damping", "distance", "pairs"):
+            low = getattr(self, name)[0]
+            _need(low > 0.0, name, f"{low:g}", "above zero")
+        _need(self.distinct >= 1, "distinct", str(self.distinct), "1 or more trees")
+        _need(self.attempts >= 1, "attempts", str(self.attempts), "1 or more")
+        _need(self.most_links >= 2, "most_links", str(self.most_links), "2 or more")
+        _need(0.0 <= self.tilt < 90.0, "tilt", f"{self.tilt:g} degrees", "0 to below 90")
+        _need(self.target.strips >= 1, "target strips", str(self.target.strips), "1 or more")
+        low, high = self.target.length
+        _need(0.0 <= low <= high, "target length", f"{low:g} to {high:g} m", "a range from 0 or more")
+        wide = self.target.clearance + self.near
+        _need(self.depth[1] < wide, "depth", f"{self.depth[1]:g} m", f"below clearance + near = {wide:g} m")
+        found = f"{self.reach[0]:g} to {self.reach[1]:g} m from the shoulder"
+        _need(self.reach[1] <= reach, "line", found, f"within the arm's reach of {reach:.3g} m")
+        return self
+
+
+def _need(ok: bool, place: str, found: str, allowed: str) -> None:
+    if not ok:
+        raise InputError("scene", place, found, allowed)
+
+
+def seed_sequence(seed: int, domain: str) -> np.random.SeedSequence:
+    """Return the source of all of a run's scene seeds: ``SeedSequence([domain, seed])``."""
+    return np.random.SeedSequence([DOMAINS[domain], seed])
+
+
+def arm_reach(arm: Arm) -> tuple[Array, float]:
+    """Return the arm's shoulder (joint 2, or 1 if it has one, at home) [m] and its reach from there, stretched [m]."""
+    first = min(1, arm.num_dofs - 1)
+    shoulder = forward_kinematics(arm, arm.home)[0][first]
+    lengths = np.linalg.norm(arm.tree.position[first + 1 : arm.end_link + 1], axis=1)
+    return shoulder, float(lengths.sum() + np.linalg.norm(arm.end_position))
+
+
+def grow_trees(settings: SceneSettings, arm: Arm, *, seed: int, domain: str = "training") -> list[Tree]:
+    """Grow the distinct trees of a run: trunk fixed, springs that hold the rest pose, culled to what the arm reaches.
+
+    Raises:
+        InputError: The settings (`SceneSettings.check`), a tree out of reach from every side, or wood too soft for it.
+    """
+    shoulder, reach = arm_reach(arm)
+    settings.check(reach)
+    grown, springs = seed_sequence(seed, domain).generate_state(2, np.uint64)
+    forest = grow_forest(
+        settings.species, settings.distinct, settings.order,
+        noise=settings.noise, seed=int(grown), scale=settings.scale, fixed_base=True,
+    )  # fmt: skip
+    rng = np.random.default_rng(int(springs))
+    return [_finished(_culled(tree, settings, float(shoulder[2]), reach), settings, rng) for tree in forest]
+
+
+def _finished(tree: Tree, settings: SceneSettings, rng: np.random.Generator) -> Tree:
+    if settings.wood:
+        return hold_rest_pose(_of_wood(tree, settings))
+    spring = {"upper": settings.upper, "lower": settings.lower, "decay": settings.decay}
+    return hold_rest_pose(rudimentary(tree, rng=rng, **spring))
+
+
+def _of_wood(tree: Tree, settings: SceneSettings) -> Tree:
+    """Return the tree with the springs and dampers of the settings' wood, none of which its weight may topple."""
+    out = SpringPosterior.from_wood(settings.wood).apply(tree, 0)
+    turns = out.joint != Joint.FIXED
+    softest = settings.stiffness[0] * out.stiffness[turns]
+    stands = softest >= 2.0 * toppling_stiffness(out)[turns]  # as `rudimentary` has it
+    _need(bool(stands.all()), "wood", f"{tree.name} toppling under its own weight", "stiffer wood")
+    return out
+
+
+def _culled(tree: Tree, settings: SceneSettings, shoulder: float, reach: float) -> Tree:
+    """Keep what an arm reaches from some place of the tree, however its trunk is turned; the mass of the rest stays.
+
+    A point at height z and radius r from the trunk's axis is hypot(r - d, z - h) away from a shoulder at height h that
+    looks from its side of the tree, d from the trunk (as `sim.trees.cull` for one place).
+    """
+    start, end, radius = _rest_capsules(tree)
+    share = np.linspace(0.0, 1.0, _ALONG)[:, None, None]
+    points = start + share * (end - start)
+    span, rise = np.hypot(points[..., 0], points[..., 1]), points[..., 2] - _fork_height(tree) - shoulder
+    aside = span - np.clip(span, *settings.distance)
+    above = rise + np.clip(-rise, *settings.height)
+    away = (np.hypot(aside, above) - radius).min(axis=0)
+    _need(bool((away <= reach).any()), "tree", f"{tree.name} with no link within reach", f"a link within {reach:.3g} m")
+    keep = _carried_and(tree, away <= reach)
+    for bound in np.sort(away)[::-1]:
+        if keep.sum() <= settings.most_links:
+            break
+        keep = _carried_and(tree, away < min(bound, reach))
+    return keep_links(tree, keep)
+
+
+def _carried_and(tree: Tree, shapes: np.ndarray) -> np.ndarray:
+    """Links of the chosen capsules and those that carry them, shape [L]."""
+    keep = np.zeros(tree.num_links, dtype=bool)
+    keep[tree.shape_link[shapes]] = True
+    for i in reversed(range(tree.num_links)):
+        if keep[i] and tree.parent[i] >= 0:
+            keep[tree.parent[i]] = True
+    return keep
+
+
+def _fork_height(tree: Tree) -> float:
+    """Height of the trunk's upper end above its foot, joints at zero [m]."""
+    turned = quat_rotate(tree.rotation[0], np.stack([tree.shape_start[0], tree.shape_end[0]]))
+    return float((tree.position[0] + turned)[:, 2].max())
+
+
+def share_trees(distinct: list[Tree], worlds: int) -> tuple[list[Tree], IntArray]:
+    """Return one tree a world and its number: tree w mod n for world w.
+
+    Raises:
+        InputError: There is no world.
+    """
+    _need(worlds >= 1, "worlds", str(worlds), "1 or more")
+    index = np.arange(worlds) % len(distinct)
+    return [distinct[i] for i in index], index
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Ends of axes [m], Warp arrays of vec3."""
+
+    start: wp.array
+    end: wp.array
+
+
+class Scene:
+    """Places trees and targets of a simulator's worlds.
+
+    Attributes:
+        root, turn: Foot of each world's trunk [m] and its turn as w, x, y, z, torch views [worlds, 3] and [worlds, 4].
+        target: Ends of the axes around which the region to clear lies, for perception, Warp arrays [worlds, strips].
+        stiffness, damping: Factors drawn for each world, [worlds].
+        breach: How far each world's place breaks a rule [m], 0 where it breaks none, [worlds].
+    """
+
+    def __init__(
+        self, simulator: ArmSimulator, distinct: list[Tree], index: IntArray, settings: SceneSettings,
+        *, seed: int, domain: str = "training",
+    ) -> None:  # fmt: skip
+        """Allocate everything; place nothing yet.
+
+        Args:
+            simulator: Worlds made of `share_trees`'s trees.
+            distinct: What `grow_trees` returned.
+            index: What `share_trees` returned.
+            settings: The ranges.
+            seed: Seed of all places.
+            domain: ``training`` or ``test`` (`DOMAINS`).
+
+        Raises:
+            InputError: The settings (`SceneSettings.check`).
+        """
+        self.settings, self._simulator = settings, simulator
+        self.device = simulator.model.device
+        shoulder, reach = arm_reach(simulator.arm)
+        settings.check(reach)
+        self._arrays = _scene_arrays(distinct, index, simulator.arm, shoulder, settings.firm, self.device)
+        self._rules = _scene_rules(settings, simulator.arm)
+        words = seed_sequence(seed, domain).generate_state(4)[2:]
+        self._key = wp.vec2ui(int(words[0]), int(words[1]))
+        self._allocate(len(index))
+
+    root: torch.Tensor
+    turn: torch.Tensor
+    stiffness: torch.Tensor
+    damping: torch.Tensor
+    breach: torch.Tensor
+
+    def _allocate(self, worlds: int) -> None:
+        kinds: dict[str, Any] = {"root": wp.vec3, "turn": wp.vec4}
+        kinds |= dict.fromkeys(("stiffness", "damping", "breach"), wp.float32)
+        self._drawn = {name: wp.zeros(worlds, dtype=kind, device=self.device) for name, kind in kinds.items()}
+        for name, array in self._drawn.items():
+            setattr(self, name, wp.to_torch(array))
+        shape = (worlds, self.settings.target.strips)
+        self.target = Axes(*(wp.zeros(shape, dtype=wp.vec3, device=self.device) for _ in range(2)))
+        sim = self._simulator
+        arrays = sim.model.arrays
+        self._fields = {name: arrays[name].entries() for name in ("offset", "turn", "stiffness", "damping")}
+        # the stepping adds the springs' implicit share to its own copy; relaxation times far above the step need none
+        self._fields["damping in effect"] = sim._damping.entries()
+        self._nominal = {name: wp.clone(field) for name, field in self._fields.items()}
+        runs = min(_RUNS, self.settings.attempts) if self.device.is_cuda else 1
+        self._place = Recorded(self._record)
+        self._tried = (
+            wp.zeros((worlds, runs), dtype=wp.int32, device=self.device),
+            wp.zeros((worlds, runs), dtype=wp.float32, device=self.device),
+        )
+        self._same = wp.full(worlds, 1.0, dtype=wp.float32, device=self.device)
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Return all that a placing has written, by name, as views: copying back what was copied undoes it."""
+        sim = self._simulator
+        lines = {"line start": sim.line_start, "line end": sim.line_end, "friction": sim.friction}
+        lines |= {"strip start": wp.to_torch(self.target.start), "strip end": wp.to_torch(self.target.end)}
+        drawn = {name: getattr(self, name) for name in self._drawn}
+        return lines | drawn | {f"model {name}": wp.to_torch(field) for name, field in self._fields.items()}
+
+    def place(self, mask: wp.array, episode: wp.array) -> None:
+        """Draw a new place for the masked worlds (bool, [worlds]) of the given episodes (int, [worlds]).
+
+        Writes the trees' roots, the target's axis, springs, dampers and friction; call the simulator's ``reset`` with
+        the same mask afterwards.
+        """
+        self._place(mask, episode)
+
+    def _record(self, mask: wp.array, episode: wp.array) -> list[Any]:
+        sim, d = self._simulator, self._drawn
+        outputs = [
+            d["root"], d["turn"], sim.line.start, sim.line.end, self.target.start, self.target.end,
+            d["stiffness"], d["damping"], wp.from_torch(sim.friction), d["breach"],
+        ]  # fmt: skip
+        inputs = [mask, episode, self._arrays, self._rules, self._key, *self._tried]
+        return [
+            self._launch(kernels.try_places, self._tried[0].shape, inputs),
+            self._launch(kernels.place_scene, len(self.breach), [*inputs, *outputs]),
+            self._plant(mask),
+            self._scale("stiffness", mask, self._same),
+            self._scale("damping", mask, d["damping"]),
+            self._scale("damping in effect", mask, d["damping"]),
+        ]
+
+    def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> Any:
+        return wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, record_cmd=True)
+
+    def _plant(self, mask: wp.array) -> Any:
+        sim, f, n = self._simulator, self._fields, self._nominal
+        inputs = [mask, sim._slot_world, sim.model.kernel.parent, self._drawn["root"], self._drawn["turn"]]
+        inputs += [n["offset"], n["turn"], f["offset"], f["turn"]]
+        return self._launch(kernels.plant_roots, f["turn"].shape[:2], inputs)
+
+    def _scale(self, name: str, mask: wp.array, second: wp.array) -> Any:
+        field = self._fields[name]
+        inputs = [mask, self._simulator._slot_world, self._drawn["stiffness"], second, self._nominal[name], field]
+        return self._launch(kernels.scale_joints, field.shape[:2], inputs)
+
+
+def _scene_arrays(distinct: list[Tree], index: IntArray, arm: Arm, shoulder: Array, firm: float, device: Any) -> Any:
+    """Return the kernels' constant arrays: branches in their trees' frames, the arm at home."""
+    rows = [(*_rest_capsules(tree), side_compliance(tree) < _PUSH / firm) for tree in distinct]
+    most = max(len(row[0]) for row in rows)
+    out = kernels.SceneArrays()
+    for k, name in enumerate(("start", "end")):
+        padded = np.stack([np.pad(row[k], ((0, most - len(row[k])), (0, 0))) for row in rows])
+        setattr(out, name, wp.array(padded.astype(np.float32), dtype=wp.vec3, device=device))
+    soft = [np.flatnonzero(~row[3]) for row in rows]
+    for tree, free in zip(distinct, soft, strict=True):
+        _need(len(free) > 0, "firm", f"{tree.name} with no link that {firm:g} N push aside", "softer or smaller wood")
+    out.num_soft = wp.array([len(free) for free in soft], dtype=wp.int32, device=device)
+    out.soft = wp.array(np.stack([np.pad(free, (0, most - len(free))) for free in soft]), dtype=wp.int32, device=device)
+    for k, name, dtype in ((2, "radius", wp.float32), (3, "firm", wp.int32)):
+        padded = np.stack([np.pad(row[k], (0, most - len(row[k]))) for row in rows])
+        setattr(out, name, wp.array(padded, dtype=dtype, device=device))
+    out.count = wp.array([len(row[0]) for row in rows], dtype=wp.int32, device=device)
+    out.fork = wp.array([_fork_height(tree) for tree in distinct], dtype=wp.float32, device=device)
+    out.tree = wp.array(index, dtype=wp.int32, device=device)
+    start, end, radius = home_capsules(arm)
+    out.home_start = wp.array(start.astype(np.float32), dtype=wp.vec3, device=device)
+    out.home_end = wp.array(end.astype(np.float32), dtype=wp.vec3, device=device)
+    out.home_radius = wp.array(radius.astype(np.float32), dtype=wp.float32, device=device)
+    out.shoulder = wp.vec3(*shoulder)
+    return out
+
+
+def _rest_capsules(tree: Tree) -> tuple[Array, Array, Array]:
+    """Axes and greatest radii of a tree's capsules, joints at zero."""
+    start, end = shape_ends(tree)
+    return start, end, tree.shape_radius.max(axis=1)
+
+
+def side_compliance(tree: Tree) -> Array:
+    """How far a level force of 1 N moves the middle of each capsule in its stiffest direction [m/N], shape [S].
+
+    The joints between it and the ground in series, C = sum_j (|r_j|^2 I - r_j r_j^T) / K_j.
+    """
+    joint = rest_pose(tree)[0]
+    out = np.zeros(len(tree.shape_link))
+    for s, middle in enumerate(np.mean(shape_ends(tree), axis=0)):
+        total, link = np.zeros((3, 3)), int(tree.shape_link[s])
+        while link >= 0:
+            arm = middle - joint[link]
+            if tree.joint[link] != Joint.FIXED:
+                total += (arm @ arm * np.eye(3) - np.outer(arm, arm)) / tree.stiffness[link]
+            link = int(tree.parent[link])
+        out[s] = np.linalg.eigvalsh(total[:2, :2])[0]
+    return out
+
+
+def home_capsules(arm: Arm) -> tuple[Array, Array, Array]:
+    """Axes [C, 3], [C, 3] and radii [C] of an arm's capsules at home, those of its static base included [m]."""
+    start, end = arm_capsules(arm, arm.home)
+    return start, end, np.concatenate([arm.base_radius, arm.tree.shape_radius.max(axis=1)])
+
+
+def _facing(arm: Arm) -> float:
+    """Direction in which the arm's hand is at home, seen from above [rad]; 0 if it is over the base."""
+    end = forward_kinematics(arm, arm.home)[2][0]
+    return float(np.arctan2(end[1], end[0])) if np.hypot(end[0], end[1]) > 0.05 else 0.0
+
+
+def _scene_rules(settings: SceneSettings, arm: Arm) -> Any:
+    out = kernels.SceneRules()
+    for name in ("distance", "height", "depth", "reach", "pairs", "stiffness", "damping", "friction"):
+        setattr(out, name, wp.vec2(*getattr(settings, name)))
+    facing, half = _facing(arm), np.radians(settings.bearing)
+    out.bearing = wp.vec2(facing - half, facing + half)
+    out.tilt, out.side = float(np.radians(settings.tilt)), float(np.radians(settings.side))
+    for name in ("shift", "near", "gap", "target_gap"):
+        setattr(out, name, float(getattr(settings, name)))
+    target = settings.target
+    out.length, out.clearance, out.width = wp.vec2(*target.length), target.clearance, target.width
+    out.strips, out.rounded = target.strips, int(target.rounded)
+    out.points, out.attempts = float(settings.points), settings.attempts
+    return out

@@ -1,0 +1,341 @@
+"""Finding what a model lacks: the machinery against closed forms and plain replays, verdicts on hidden effects."""
+
+import ast
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from bough.learn.cases.case import BranchCase, load_case
+from bough.learn.cases.noise import estimate_noise
+from bough.learn.gap.candidates import Candidate, everywhere, names_for, probes_of
+from bough.learn.gap.contest import Contest, Rows, active_rows
+from bough.learn.gap.decide import Field, alternatives, chosen, known, lacks_fit, leading
+from bough.learn.gap.diagnose import Diagnoser, Settings, too_loud
+from bough.learn.gap.evidence import family_wise
+from bough.learn.gap.exam import as_text, grades
+from bough.learn.gap.next_probe import ARM_PROBES, best_probe, recordings_of
+from bough.learn.gap.refit import Fits, bounded, evaluated, fit
+from bough.learn.gap.scan import Basis, Scan, look
+from bough.learn.gap.search import Model
+from bough.learn.gap.setup import in_pieces
+from bough.learn.hidden import hide
+from bough.learn.replay.recording import recordings
+from bough.learn.replay.rollout import Rollout
+from bough.learn.runs.threads import one_thread
+from bough.sim.base.errors import InputError
+from oracles.branch_case import make_branch_case
+
+ROOT = Path(__file__).resolve().parents[3]
+FEW = ("dry_friction", "force_scale", "force_bias", "anisotropic_stiffness")
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """Return a contest of few effects on a branch of one segment, and its base fitted."""
+    folder = tmp_path_factory.mktemp("small") / "case"
+    make_branch_case(folder, 4, segments=1, samples=50, dt=1e-3)
+    case = load_case(folder)
+    noise = estimate_noise(case)
+    contest = Contest(case, recordings(case), np.concatenate([noise.displacement, noise.velocity]), FEW)
+    return contest, fit(contest, contest.rows(1), 12)
+
+
+# ---- the machinery -------------------------------------------------------------------------------------------------
+
+
+def test_inactive_effects_leave_the_plain_replay(small):
+    """Simulate with every effect compiled in and none active what the plain kernel simulates, to single precision."""
+    contest, base = small
+    values = contest.values(base.rows)
+    plain = Rollout(contest.case, contest.recordings, 1)(values[:, : contest.num_base])[0].double()
+    torch.testing.assert_close(contest.simulate(values, base.rows.start)[0].double(), plain, atol=2e-6, rtol=1e-5)
+
+
+def test_derivatives_are_those_of_central_differences(small):
+    """Agree with central differences of a tenth of the step to the 3 % that one-sided ones of 1 % may be off."""
+    contest, base = small
+    rows = active_rows(contest, base.rows, [[c for c, x in enumerate(contest.candidates) if x.name == "force_scale"]])
+    rows.free[0, -1] = 0.0
+    column = int(next(c for x in contest.candidates if x.name == "force_scale" for c in x.columns))
+    rows.free[0, column] = 0.1
+    _, derivative, columns = contest.linearise(rows)
+    for k, c in enumerate(columns[0].tolist()):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = Rows(rows.free.clone(), rows.active, rows.start, rows.weight)
+            moved.free[0, c] += sign * 5e-3
+            ends.append(contest.simulate(contest.values(moved), moved.start))
+        wanted = contest.whiten(ends[0] - ends[1])[0] / 1e-2
+        assert (derivative[0, k] - wanted).norm() < 0.03 * wanted.norm()
+
+
+def test_rows_do_not_feel_each_other(small):
+    """Fit a row beside others to the same bits as alone."""
+    contest, base = small
+    rows = Rows.joined([base.rows, base.rows, base.rows])
+    rows.free[1, : contest.num_base] += 0.5
+    together, alone = fit(contest, rows, 2), fit(contest, rows[slice(1, 2)], 2)
+    torch.testing.assert_close(together.rows.free[1], alone.rows.free[0], rtol=1e-6, atol=1e-6)
+
+
+def test_a_step_at_a_bound_lets_the_rest_go_on():
+    """Hold x0 = 1 and solve for x1: 2 x1 = 1 - 1; cut off alone it would have stayed at -2/3."""
+    matrix, right = torch.tensor([[[2.0, 1.0], [1.0, 2.0]]]), torch.tensor([[4.0, 1.0]])
+    far = torch.tensor([[9.0, 9.0]])
+    torch.testing.assert_close(bounded(matrix, right, -far, far), torch.tensor([[7 / 3, -2 / 3]]))
+    torch.testing.assert_close(bounded(matrix, right, -far, torch.tensor([[1.0, 9.0]])), torch.tensor([[1.0, 0.0]]))
+
+
+def test_bounded_steps_stay_inside_and_leave_no_slope_between_bounds():
+    """Solve 500 systems of three: entries between their bounds have no slope left, some of each kind."""
+    generator = torch.Generator().manual_seed(0)
+    root = torch.randn(500, 3, 4, dtype=torch.float64, generator=generator)
+    matrix, right = root @ root.transpose(1, 2), torch.randn(500, 3, dtype=torch.float64, generator=generator)
+    high = torch.rand(500, 3, dtype=torch.float64, generator=generator)
+    x = bounded(matrix, right, -high, high)
+    slope = (matrix @ x[..., None])[..., 0] - right
+    between = x.abs() < high
+    assert bool((x.abs() <= high).all()) and 100 < int(between.sum()) < 1400
+    assert float(slope[between].abs().max()) < 1e-9 * float(matrix.abs().max())
+
+
+def test_gain_is_what_a_linear_model_would_explain(small):
+    """Explain of a residual made of one column exactly its squares beside what the base takes of it."""
+    contest, base = small
+    basis = Basis(contest, base)
+    index = next(k for k, c in enumerate(contest.candidates) if c.name == "force_bias")
+    candidate = contest.candidates[index]
+    probe = probes_of(index, candidate, [contest.parameters[c] for c in candidate.columns], contest.settings[0])[0]
+    assert probe.moved == (0, 1, 2)
+    first = look(contest, basis, [probe], basis.residual[None])
+    moved = active_rows(contest, base.rows, [[index]])
+    moved.free[0, candidate.columns[0]] = 0.1 * float(contest.high[candidate.columns[0]])
+    change = contest.simulate(contest.values(moved), moved.start) - contest.simulate(
+        contest.values(base.rows), base.rows.start
+    )
+    column = contest.whiten(change).flatten(1)
+    own = basis.free_of(column)[0]
+    second = look(contest, basis, [probe], column)
+    assert float(second.gain[0, 0]) == pytest.approx(float(own @ own), rel=1e-3)
+    assert second.strength[0].tolist() == pytest.approx([1.0, 0.0, 0.0], abs=1e-2)
+    assert first.gain.shape == (1, 1)
+    # what the base would imitate and what is free of it are the whole column
+    imitated = second.taken[0] @ basis._rows[: len(basis.columns)]
+    torch.testing.assert_close(imitated + own, column[0], rtol=0.0, atol=0.02 * float(column.abs().max()))
+
+
+def test_family_wise_probability_is_uniform_under_the_null():
+    """Reject at 5 % about 5 % of 400 nulls (binomial, four deviations), and see a strong effect far out."""
+    rng = np.random.default_rng(0)
+    probes = [SimpleNamespace(moved=(), candidate=k) for k in range(30)]
+    p = []
+    for _ in range(400):
+        gain = torch.as_tensor(rng.chisquare(1, (49, 30)))
+        p.append(family_wise(Scan(probes, gain, [], [1] * 30, torch.zeros(30, 0)), 1.0))
+    assert 0.05 - 4 * 0.011 < np.mean(np.array(p) < 0.05) < 0.05 + 4 * 0.011
+    gain[0, 3] = 60.0
+    assert family_wise(Scan(probes, gain, [], [1] * 30, torch.zeros(30, 0)), 1.0) < 1e-4
+
+
+def test_pieces_keep_the_branch(tmp_path):
+    """Cut segments into pieces with the same length, mass and tip."""
+    make_branch_case(tmp_path / "case", 3, samples=20, dt=2e-3)
+    case = load_case(tmp_path / "case")
+    fine = in_pieces(case)
+    assert fine.mass.sum() == pytest.approx(case.mass.sum())
+    np.testing.assert_allclose(fine.lower_end[::3], case.lower_end, atol=1e-12)
+    np.testing.assert_allclose(fine.radius[2::3, 1], case.radius[:, 1])
+
+
+def test_probes_are_worth_what_tells_models_apart(small):
+    """Find nothing in a recording without a push, more in a larger push, and the best probe above the others."""
+    contest, base = small
+    place = next(k for k, c in enumerate(contest.candidates) if c.name == "dry_friction")
+    rows = active_rows(contest, base.rows, [[place]])
+    column = contest.candidates[place].columns[0]
+    rows.free[0, column] = float(contest.high[column])
+    rubs, plain = Model((place,), evaluated(contest, rows)), Model((), base)
+    worth = {p.words: best_probe(contest, rubs, plain, [p]).evidence for p in ARM_PROBES}
+    still = next(p for p in ARM_PROBES if "without a push" in p.words)
+    assert worth[still.words] == pytest.approx(0.0, abs=1e-6)
+    assert all(value > 0.0 for words, value in worth.items() if words != still.words)
+    assert best_probe(contest, rubs, plain).evidence == max(worth.values())
+    push = recordings_of(contest.case, contest.recordings, ARM_PROBES[2])[0]
+    largest = max(np.linalg.norm(r.input, axis=1).max() for r in contest.recordings)
+    assert np.linalg.norm(push.input, axis=1).max() == pytest.approx(largest, rel=1e-6)
+    assert not push.input[~push.contact].any() and 0.4 < push.contact.mean() < 0.6
+
+
+# ---- decisions on hand-made fields ---------------------------------------------------------------------------------
+
+
+def field_of(chi2, base=3000.0, samples=1000):
+    """Return a field in which models have the given squares: {members: chi2}."""
+    names = ["dry_friction", "hysteresis_boucwen", "tip_mass"]
+    candidates = [Candidate(SimpleNamespace(name=n, label=n), (k,), ()) for k, n in enumerate(names)]
+    contest = SimpleNamespace(num_samples=samples, candidates=candidates, case=object.__new__(BranchCase))
+
+    def model(members, value):
+        one = torch.tensor([float(value)])
+        return Model(members, Fits(None, one, one, one, one), True)
+
+    return Field(contest, model((), base), [model(m, v) for m, v in chi2.items()])
+
+
+def test_a_further_effect_must_explain_much_of_what_is_left():
+    """Add a second effect that removes most of the rest; not one that removes a tenth."""
+    assert chosen(field_of({(0,): 1800, (0, 2): 1020}), 2).members == (0, 2)
+    assert chosen(field_of({(0,): 1800, (0, 2): 1720}), 2).members == (0,)
+    assert chosen(field_of({(0,): 1800, (0, 2): 1020}), 1).members == (0,)
+
+
+def test_a_small_further_effect_must_end_the_search():
+    """Add one worth a twentieth of the gap where it removes most of what is left, not where it removes half."""
+    assert chosen(field_of({(0,): 1150, (0, 2): 1005}), 2).members == (0, 2)
+    assert chosen(field_of({(0,): 1150, (0, 2): 1075}), 2).members == (0,)
+    assert chosen(field_of({(0,): 1150, (0, 2): 1015}), 2).members == (0, 2)  # a fifteenth, and nine tenths of the rest
+    assert chosen(field_of({(0,): 1060, (0, 2): 1001}), 2).members == (0,)  # passes for noise by itself
+
+
+def test_of_names_that_tie_the_one_that_goes_further_leads():
+    """Prefer the second best by five squares where the best pair holds it, if that pair is clearly better than both."""
+    assert chosen(field_of({(0,): 1500, (2,): 1505, (1, 2): 1450}), 2).members == (2,)
+    assert chosen(field_of({(0,): 1500, (2,): 1505, (1, 2): 1480}), 2).members == (0,)
+    assert chosen(field_of({(0,): 1500, (2,): 1550, (1, 2): 1450}), 2).members == (0,)
+
+
+def test_the_nearest_name_is_what_explains_most_alone():
+    """Put forward of two effects the one that does more by itself, wherever it stands."""
+    field = field_of({(0,): 2600, (2,): 1500, (0, 2): 1400})
+    assert leading(field, field.models[2]) == 2 and leading(field, field.models[0]) == 0
+
+
+def test_a_misfit_far_above_noise_is_not_nothing():
+    """Miss something where the base leaves three squares a number, if their excess of 1.4 of noise matters."""
+    field = field_of({}, base=3000.0)
+    assert lacks_fit(field.contest, field.base, 1.3) and not lacks_fit(field.contest, field.base, 1.5)
+    assert not lacks_fit(field.contest, field_of({}, base=1900.0).base, 0.1)  # the noise may have been taken too low
+
+
+def test_names_are_claimed_only_where_enough_is_explained():
+    """Claim what leaves noise or explains nine tenths of the excess; nothing that explains four fifths."""
+    for left, claimed in ((1100, True), (1200, True), (1400, False)):
+        field = field_of({(0,): left})
+        assert known(field, field.models[0]) is claimed
+
+
+def test_one_law_at_two_joints_must_explain_nearly_all():
+    """Claim friction at two joints of a branch where it leaves next to nothing, not where it leaves a twentieth."""
+    for left, claimed in ((1040, True), (1100, False)):
+        field = field_of({(0, 2): left})
+        field.contest.candidates[2] = field.contest.candidates[0]
+        assert known(field, field.models[0]) is claimed
+
+
+def test_what_fits_as_well_is_reported():
+    """Report a rival within reach of the criterion, not one far behind."""
+    field = field_of({(0,): 1050, (1,): 1055, (2,): 1500})
+    assert alternatives(field, field.models[0]) == {"dry_friction": ("hysteresis_boucwen",)}
+
+
+def test_exam_is_graded_by_hand():
+    """Grade five made-up verdicts as one would by hand."""
+
+    def result(kind, hidden, named, verdict, **more):
+        effects = [{"name": n, "joint": 0} for n in hidden]
+        truth = {"null": kind == "null", "out_of_library": kind == "outside", "effects": effects, "equivalents": {},
+                 "visible_gap": 0.1, **more}  # fmt: skip
+        gap = {"base": 8.0, "repaired": 2.0, "noise_floor": 1.0}
+        return {"kind": kind, "noise": 0.03, "truth": truth,
+                "verdict": {"verdict": verdict, "effects": [{"name": n, "joint": j} for n, j in named],
+                            "alternatives": {}, "gap": gap}}  # fmt: skip
+
+    table = grades([
+        result("null", [], [], "none"),
+        result("single", ["tip_mass"], [("tip_mass", 0)], "effects"),
+        result("single", ["tip_mass"], [("dry_friction", 1)], "effects"),
+        result("pair", ["tip_mass", "force_bias"], [("tip_mass", 0)], "effects"),
+        result("outside", ["tether"], [], "unknown"),
+    ])  # fmt: skip
+    assert table["right name first, visible single effects"] == (0.5, 2)
+    assert table["wrong name asserted, all cases"] == (0.2, 5)
+    assert table["false alarm on null"] == (0.0, 1)
+    assert table["outside the list: unknown"] == (1.0, 1)
+    assert table["pairs: both named"] == (0.0, 1)
+    assert table["pairs: at least one and none wrong"] == (1.0, 1)
+    assert table["right joint, given the right name"] == (1.0, 1)
+    assert table["held-out gap shrinks by (median)"] == (4.0, 3)
+    assert "| false alarm on null | <= 3 % | 0 % | 1 |" in as_text(table, 0.03)
+
+
+# ---- verdicts ------------------------------------------------------------------------------------------------------
+
+
+def diagnosed(folder, **hidden):
+    """Hide something and return the diagnosis."""
+    hide(folder, **hidden)
+    with one_thread():
+        return Diagnoser(load_case(folder), Settings(particles=0)).run()
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03, 0.05])
+def test_nothing_hidden_is_called_none(tmp_path, noise):
+    """Raise no alarm on a branch that lacks nothing but the bending of its wood."""
+    found = diagnosed(tmp_path / "case", seed=int(1000 * noise), noise=noise)
+    assert found.verdict == "none", found.sentence
+    assert found.effects == () and found.nearest is None
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "noise"),
+    [("force_scale", None, 0.03), ("bilinear_stiffness", 1, 0.03), ("viscoelastic_sls", 0, 0.05)],
+)
+def test_hidden_effect_is_named(tmp_path, name, joint, noise):
+    """Name a visible effect and its joint; leave a gap within 30 % of the noise, and half of what exceeds it."""
+    found = diagnosed(tmp_path / "case", effects=(name,), joint=joint, seed=5, noise=noise, size=0.2)
+    assert [(a.name, a.joint) for a in found.effects] == [(name, joint)], found.sentence
+    assert found.p_null < 1e-6
+    base, repaired, floor = found.gap.base, found.gap.repaired, found.gap.noise_floor
+    assert repaired < 1.3 * floor and repaired**2 - floor**2 < 0.5 * (base**2 - floor**2)
+
+
+def test_a_gust_is_found_beside_what_hides_it(tmp_path):
+    """Name both of a pair of which the frequency of one can only be seen once the other is known."""
+    found = diagnosed(tmp_path / "case", effects=("bending_torsion_coupling", "wind_gust"), joint=1, seed=5, noise=0.03,
+                      size=0.25)  # fmt: skip
+    assert sorted(a.name for a in found.effects) == ["bending_torsion_coupling", "wind_gust"], found.sentence
+    assert found.gap.repaired < 0.25 * found.gap.base  # 0.11 is the floor; the hidden gust wobbles
+
+
+def test_effect_on_no_list_is_unknown(tmp_path):
+    """Claim no name where a sensor's axes have different gains, and say which comes nearest."""
+    found = diagnosed(tmp_path / "case", outside="displacement_gain_error", seed=5, noise=0.03, size=0.25)
+    assert found.verdict == "unknown" and found.effects == () and found.nearest is not None
+
+
+def test_poor_cases_say_nothing(tmp_path):
+    """Call a single trajectory and noise as large as the motion unknown, with what to do."""
+    assert too_loud(1.2) is not None and too_loud(20.0) is None
+    make_branch_case(tmp_path / "case", 3, segments=1, samples=40, dt=2e-3)
+    with pytest.raises(InputError, match=r"an effect that this case cannot show|one of"):
+        names_for(load_case(tmp_path / "case"), ("no_such_effect",))
+    assert {a.name for a in everywhere(load_case(tmp_path / "case"), FEW)} == set(FEW)
+
+
+def test_no_law_is_shared_with_the_hidden_side():
+    """Import nothing of bough's effects or kernels where effects are hidden, and nothing the other way."""
+    for folder, banned in (
+        ("learn/hidden", ("effects", "kernels")),
+        ("sim/effects", ("hidden",)),
+        ("kernels", ("hidden",)),
+    ):
+        for path in (ROOT / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                module = getattr(node, "module", None) or ""
+                names = [
+                    module,
+                    *(a.name for a in getattr(node, "names", []) if isinstance(node, ast.Import | ast.ImportFrom)),
+                ]
+                assert not any(part in banned for n in names for part in n.split(".")), f"{path}: {names}"

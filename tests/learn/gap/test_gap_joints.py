@@ -1,0 +1,136 @@
+"""Diagnoses of joints that are measured directly, simulated here by SciPy's integrator with laws of its own."""
+
+import numpy as np
+import pytest
+import yaml
+from bough.learn.cases.case import load_case
+from bough.learn.gap.at_rest import Noise
+from bough.learn.gap.diagnose import Diagnoser
+from bough.learn.gap.diagnosis import Settings
+from bough.learn.runs.threads import one_thread
+from bough.learn.systems.acting import integral
+from scipy.integrate import solve_ivp
+
+
+def write(folder, law, starts, joint, *, quantity="position", drive=None, rate=100.0, duration=10.0, noise=0.01,
+          sway=None):  # fmt: skip
+    """Write a case: ``law(q, v, u)`` is the acceleration; white noise of a share of the rms; ``sway(t)`` is added."""
+    folder.mkdir()
+    t = np.arange(round(duration * rate)) / rate
+    generator = np.random.default_rng(0)
+    for k, start in enumerate(starts):
+        u = np.zeros_like(t) if drive is None else drive(t, k)
+
+        def slope(time, y, u=u):
+            return [y[1], law(y[0], y[1], np.interp(time, t, u))]
+
+        q, v = solve_ivp(slope, (0.0, t[-1]), start, t_eval=t, max_step=2e-3, rtol=1e-7, atol=1e-10).y
+        measured = {"position": q, "velocity": v}[quantity]
+        measured = measured + noise * measured.std() * generator.standard_normal(len(t))
+        measured += 0.0 if sway is None else sway(t)
+        np.savetxt(folder / f"run_{k + 1}.csv", np.column_stack([t, u, measured]), fmt="%.9g", delimiter=",",
+                   header="time_s,effort,measured", comments="")  # fmt: skip
+    driven = {"joint": "axis", "column": "effort", "scale": 1.0, "hold": "linear"}
+    meta = {
+        "format": "joint-gap-case/1", "name": folder.name, "mechanism": {"joints": [{"name": "axis"} | joint]},
+        "input": None if drive is None else driven,
+        "outputs": [{"joint": "axis", "quantity": quantity, "column": "measured", "scale": 1.0}],
+        "trajectories": [{"file": f"run_{k + 1}.csv", "t_start_s": 100.0 * k, "replicate_of": None}
+                         for k in range(len(starts))],
+        "noise_nominal": None,
+    }  # fmt: skip
+    (folder / "meta.yaml").write_text(yaml.safe_dump(meta))
+    return folder
+
+
+def diagnosed(folder):
+    """Return the diagnosis of a case, with one effect at most."""
+    with one_thread():
+        return Diagnoser(load_case(folder), Settings(particles=0, max_effects=1)).run()
+
+
+@pytest.mark.parametrize("seed", [0, 10])
+def test_an_oscillator_whose_rate_alone_is_measured_stiffens(tmp_path, seed):
+    """Name the cubic spring of a mass that moves by millimetres, from its rate; it adds a fifth to the torque there.
+
+    Derivatives over wide steps alone leave 35 squares a number of the second drive.
+    """
+    joint = {"type": "prismatic", "inertia": None, "stiffness": None, "damping": None}
+
+    def many_sines(t, k):
+        tone = np.arange(2.0, 25.0, 0.25)[:, None]
+        phase = np.random.default_rng(seed + k).uniform(0, 2 * np.pi, tone.shape)
+        return 0.4 * (1 + 0.3 * k) * np.cos(2 * np.pi * tone * t + phase).sum(0)
+
+    found = diagnosed(write(tmp_path / "duffing", lambda q, v, u: (u - 8000 * q - 4e7 * q**3 - 6 * v) / 1.5,
+                            [(0.0, 0.0)] * 2, joint, quantity="velocity", drive=many_sines, rate=400.0))  # fmt: skip
+    assert [a.name for a in found.effects] == ["cubic_stiffness"], found.sentence
+    assert found.gap.repaired < 0.1 * found.gap.base
+    assert found.ranking[0].misfit < 1.1
+
+
+def test_a_cart_that_slides_by_millimetres_rubs(tmp_path):
+    """Name dry friction of a cart that stops within ten swings of 20 to 45 mm, and predict a run to a thirtieth."""
+    joint = {"type": "prismatic", "inertia": 2.0, "stiffness": None, "damping": None}
+    found = diagnosed(write(tmp_path / "cart", lambda q, v, u: -(900 * q + 0.8 * v + 0.9 * np.tanh(v / 1e-4)) / 2.0,
+                            [(0.03, 0.0), (0.02, 0.0), (0.045, 0.0)], joint, rate=200.0, duration=6.0,
+                            noise=0.002))  # fmt: skip
+    assert [a.name for a in found.effects] == ["dry_friction"], found.sentence
+    assert found.gap.repaired < found.gap.base / 30
+
+
+def test_a_magnet_under_a_pendulum_is_not_nothing(tmp_path):
+    """Call unknown what no candidate explains any of, and not nothing, where the misfit is 1.4 % of the motion."""
+    joint = {"type": "revolute", "inertia": 1.0, "stiffness": 0.0, "damping": None,
+             "gravity_torque": {"amplitude": None, "zero_angle": 0.0}}  # fmt: skip
+    found = diagnosed(write(tmp_path / "magnet",
+                            lambda q, v, u: -14 * np.sin(q) - 0.05 * v + 2 * q * np.exp(-((q / 0.15) ** 2)),
+                            [(0.7, 0.0), (1.05, 0.0), (0.44, 0.0)], joint, duration=15.0, noise=1e-3))  # fmt: skip
+    assert found.verdict == "unknown" and found.effects == (), found.sentence
+
+
+@pytest.mark.parametrize("cubic, verdict", [(7e8, "effects"), (0.0, "none")])
+def test_wind_that_sways_a_tree_before_the_pull_is_noise(tmp_path, cubic, verdict):
+    """Name the spring that stiffens by a third, and nothing where none does, though a tree sways by 2 % of its bend.
+
+    Neighbouring samples differ by a fifth of the sway, and tell little of it.
+    """
+    joint = {"type": "revolute", "inertia": None, "stiffness": None, "damping": None}
+    generator = np.random.default_rng(3)
+    tone, phase = generator.uniform(0.03, 0.3, 12), generator.uniform(0, 2 * np.pi, 12)
+
+    def pull(t, k):
+        return 2000.0 * np.interp(t, [0, 60, 110, 140, 180, 200], [0, 0, 1, 0.8, 0, 0])
+
+    found = diagnosed(write(tmp_path / "tree", lambda q, v, u: (u - 2e5 * q - cubic * q**3 - 4e3 * v) / 400,
+                            [(0.0, 0.0)], joint, drive=pull, rate=4.0, duration=200.0, noise=0.002,
+                            sway=lambda t: 1e-4 * np.cos(2 * np.pi * np.outer(t, tone) + phase).sum(1)))  # fmt: skip
+    assert found.verdict == verdict, found.sentence
+    assert [a.name for a in found.effects] == ["cubic_stiffness"] * (verdict == "effects"), found.sentence
+
+
+def test_noise_is_drawn_with_its_spectrum():
+    """Draw the noise x_k = 0.9 x_{k-1} + e from its spectrum: deviation, and correlation 0.9 and 0.9^5 at lags 1 and 5.
+
+    1.4 million numbers, each worth a nineteenth of an independent one: 0.4 % is one deviation.
+    """
+    frequency = np.linspace(0.0, 0.5, 2001)
+    power = 1.0 / (1.0 + 0.81 - 1.8 * np.cos(2 * np.pi * frequency))
+    noise = Noise(np.array([2.0, 0.5]), {1: (frequency, power)})
+    x = noise.draw(np.random.default_rng(0), (7, 4, 50_000, 2))
+    assert np.allclose(x.std(axis=(0, 1, 2)), [2.0, 0.5], rtol=0.02)
+    for lag in (1, 5):
+        apart = (x[:, :, lag:] * x[:, :, :-lag]).mean(axis=(0, 1, 2)) / noise.sigma**2
+        assert np.allclose(apart, [0.0, 0.9**lag], atol=0.02)
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.3])
+def test_what_is_not_measured_is_integrated_without_drift(drift):
+    """Find an amplitude from rate and from acceleration over 7.3 periods, as near as the box of a prior needs.
+
+    Ends that do not meet wrap round: that is a part in pi of the first integral's size and more of the second's.
+    """
+    t, w, a = np.arange(1000) * 0.01, 2 * np.pi * 0.73, 0.02
+    once, twice = a * w * (np.cos(w * t) + drift * t / t[-1]), -a * w * w * (np.sin(w * t) + drift * t / t[-1])
+    assert a / 2.0 < np.abs(integral(once, 0.01)).max() < 2.0 * a
+    assert a / 2.5 < np.abs(integral(integral(twice, 0.01), 0.01)).max() < 2.5 * a

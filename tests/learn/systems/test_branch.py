@@ -1,0 +1,170 @@
+"""Unknowns of a branch, written on the device, against the same branch built on the host."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from bough.learn.replay.recording import Recording
+from bough.learn.replay.rollout import Rollout
+from bough.learn.replay.simulated_case import Experiment, random_branch, write_simulated_case
+from bough.learn.systems import weight
+from bough.learn.systems.branch import BranchSystem, Unknowns
+from bough.sim.base.errors import InputError
+from bough.sim.engine.model import Model
+from bough.sim.engine.simulator import Simulator
+from bough.sim.trees.measured import axis_rotation, measured_tree
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+STIFFNESS, DAMPING = np.array([90.0, 40.0, 15.0]), np.array([2.0, 0.8, 0.3])
+SHARE, TILT = np.array([0.6, 1.3, 2.0]), np.array([0.2, -0.15, 0.1])
+ALL = ("stiffness", "damping", "density", "rest_angle")
+FIELDS = ("mass", "com", "inertia", "turn", "offset", "axis", "stiffness", "damping", "armature", "preload")
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory):
+    meta = random_branch(np.random.default_rng(8), 3)
+    truth = {"stiffness": STIFFNESS, "damping": DAMPING}
+    folder = tmp_path_factory.mktemp("system") / "case"
+    return write_simulated_case(folder, meta, truth, Experiment(samples=20), trajectories=1, seed=0)
+
+
+def written(system: BranchSystem, rows: np.ndarray) -> Model:
+    """Return a float64 model, one world a row of parameter values [W, n], with the unknowns written into it."""
+    model = Model([system.tree] * len(rows), gravity=system.gravity, precision=64)
+
+    def write(field: str, place: int, component: int, values: torch.Tensor) -> None:
+        model.arrays[field].torch[:, 0, place, component] = values
+
+    system.write(torch.as_tensor(rows), model, write)
+    return model
+
+
+def built(case, joints, density, tilt, stiffness, damping) -> Model:
+    """Return a float64 model of the branch as if it had been measured with these values."""
+    branch = replace(case, mass=case.mass * density / case.density, elevation=case.elevation + tilt)
+    tree = measured_tree(branch, stiffness, damping, joints)
+    return Model([tree], gravity=(0.0, 0.0, -case.gravity), precision=64)
+
+
+def same_arrays(a: Model, b: Model, world: int = 0) -> None:
+    """Compare every array of a world of the first model with the second's only world; q and -q are one orientation."""
+    for field in FIELDS:
+        x, y = a.arrays[field].torch[world, 0].numpy(), b.arrays[field].torch[0, 0].numpy()
+        if field == "turn":
+            y = y * np.where((x * y).sum(-1, keepdims=True) < 0, -1.0, 1.0)
+        np.testing.assert_allclose(x, y, rtol=1e-10, atol=1e-12, err_msg=field)
+
+
+@pytest.mark.parametrize("joints", ["spherical", "revolute"])
+def test_everything_unknown(case, joints):
+    """Write springs, dampers, densities and rest angles: arrays as of a branch measured so, two worlds at once."""
+    system = BranchSystem(case, Unknowns(joints, ALL))
+    rows = np.stack([np.concatenate([STIFFNESS, DAMPING, case.density * SHARE, TILT]),
+                     np.concatenate([2 * STIFFNESS, DAMPING, case.density / SHARE, -TILT])])  # fmt: skip
+    model = written(system, rows)
+    same_arrays(model, built(case, joints, case.density * SHARE, TILT, STIFFNESS, DAMPING), 0)
+    same_arrays(model, built(case, joints, case.density / SHARE, -TILT, 2 * STIFFNESS, DAMPING), 1)
+
+
+@pytest.mark.parametrize("kind", ["density", "rest_angle"])
+def test_one_kind_alone(case, kind):
+    """Keep typical springs and dampers, and the case's own geometry, where only one other kind is inferred."""
+    system = BranchSystem(case, Unknowns(infer=(kind,)))
+    values = case.density * SHARE if kind == "density" else TILT
+    density, tilt = (values, np.zeros(3)) if kind == "density" else (np.full(3, case.density), values)
+    spring, damper = system.tree.stiffness, system.tree.damping
+    same_arrays(written(system, values[None]), built(case, "spherical", density, tilt, spring, damper))
+
+
+def test_shared_unknowns(case):
+    """Give all joints the one number of a shared kind, and each its own of the others."""
+    system = BranchSystem(case, Unknowns(infer=("stiffness", "damping"), shared=("damping",)))
+    assert [p.name.split()[0] for p in system.parameters] == ["stiffness"] * 3 + ["damping"]
+    row = np.array([*STIFFNESS, 0.7])
+    model = written(system, row[None])
+    same_arrays(model, built(case, "spherical", np.full(3, case.density), np.zeros(3), STIFFNESS, np.full(3, 0.7)))
+    np.testing.assert_array_equal(system.values("stiffness", row), STIFFNESS)
+    np.testing.assert_array_equal(system.values("damping", row), [0.7, 0.7, 0.7])
+    assert np.isnan(system.values("density", row)).all()
+
+
+def test_rest_stays_at_rest(case):
+    """Hold random densities and rest angles against gravity: without a force nothing moves.
+
+    In single precision torques of newton metres balance to 1e-6 of them, which bends springs of 10 N m/rad by 1e-6 rad.
+    """
+    rng = np.random.default_rng(0)
+    unknowns = Unknowns(infer=ALL)
+    still = Recording(np.arange(40) * case.dt, np.zeros((40, 3)), np.zeros((40, 6)), np.zeros((0, 2)),
+                      np.zeros(40, dtype=bool), case.trajectories[0].grasp)  # fmt: skip
+    rows = np.concatenate([np.tile([*STIFFNESS, *DAMPING], (8, 1)), case.density * rng.uniform(0.4, 2.5, (8, 3)),
+                           rng.uniform(-0.5, 0.5, (8, 3))], axis=1)  # fmt: skip
+    out = Rollout(case, [still], 8, unknowns=unknowns)(torch.as_tensor(rows))
+    assert out[..., :3].abs().max() < 1e-5 and out[..., 3:].abs().max() < 1e-4
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.lists(st.floats(-0.8, 0.8), min_size=3, max_size=3),
+    st.lists(st.floats(0.05, 5.0), min_size=3, max_size=3),
+    st.lists(st.floats(-1.2, 1.2), min_size=3, max_size=3),
+)
+def test_holding_torque(case, tilt, mass, elevation):
+    """Hold any chain with the pre-loads that `hold_rest_pose` finds by its own recursion."""
+    elevation = np.array(elevation)
+    branch = replace(case, mass=np.array(mass), elevation=elevation + tilt)
+    tree = measured_tree(branch, STIFFNESS, DAMPING)
+    world, turn = weight.turned_chain(
+        torch.as_tensor(axis_rotation(elevation, case.azimuth)), torch.tensor(tilt, dtype=torch.float64)[None]
+    )
+    held = weight.holding_torque(
+        torch.as_tensor(branch.mass)[None], torch.as_tensor(tree.com), torch.as_tensor(case.length), world, case.gravity
+    )
+    np.testing.assert_allclose(held[0].numpy(), tree.preload, atol=1e-10)
+    aligned = (turn[0].numpy() * tree.rotation).sum(-1)
+    np.testing.assert_allclose(np.abs(aligned), 1.0, atol=1e-12)
+
+
+def test_light_dampers_do_not_split_the_dynamics(case):
+    """Keep every ball joint's spring explicit, whatever springs and dampers the box allows.
+
+    A damper below half a substep of its spring would make all springs partly implicit: the motion, and the posterior
+    with it, would jump. Written dampers stop at 0.6 substeps, and what is above stays as it is.
+    """
+    system = BranchSystem(case)
+    low, high = (np.array([getattr(p, end) for p in system.parameters]) for end in ("low", "high"))
+    rng = np.random.default_rng(1)
+    rows = np.exp(rng.uniform(np.log(low), np.log(high), (64, 6)))
+    model, substeps = written(system, rows), int(np.ceil(case.dt / system.substep))
+    assert Simulator(model, dt=case.dt, substeps=substeps).implicit_worlds() == 0
+    bare = [measured_tree(case, *np.split(row, 2)) for row in rows]
+    assert Simulator(Model(bare, precision=64), dt=case.dt, substeps=substeps).implicit_worlds() > 5
+    place = model.link_place[:3]
+    found = model.arrays["damping"].torch[:, 0, place, 0].numpy()
+    np.testing.assert_allclose(found, np.maximum(rows[:, 3:], 0.6 * system.substep * rows[:, :3]))
+    assert (found > rows[:, 3:]).any() and (found == rows[:, 3:]).any()
+
+
+@pytest.mark.parametrize(
+    ("box", "place"),
+    [("stiffness=200:5", "200:5"), ("stiffness=-1:5", "stiffness"), ("mass=1:2", "mass"), ("damping=x:2", "damping=x")],
+)
+def test_bounds_that_cannot_be(case, box, place):
+    """Refuse swapped ends, a spring that may vanish, an unknown that is none, and what is no number, in one line."""
+    with pytest.raises(InputError) as caught:
+        BranchSystem(case, Unknowns(box=(box,)))
+    assert place in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_box_and_typical_values(case):
+    """Take K = E pi r^4 / (2 l) (thesis eq. 4.2) at 10 MPa, 0.5 GPa and 100 GPa, and a user's bounds instead."""
+    system = BranchSystem(case, Unknowns(box=("stiffness=5:200",)))
+    radius = case.radius.mean(axis=1)
+    beam = np.pi * radius**4 / (2 * case.length)
+    spring = BranchSystem(case).parameters[:3]
+    np.testing.assert_allclose([[p.low, p.typical, p.high] for p in spring], beam[:, None] * [1e7, 5e8, 1e11])
+    assert [(p.low, p.high) for p in system.parameters[:3]] == [(5.0, 200.0)] * 3
+    assert system.parameters[3].low == BranchSystem(case).parameters[3].low

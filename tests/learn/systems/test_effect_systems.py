@@ -1,0 +1,273 @@
+"""Effects that change the structure against MuJoCo models built for it; every effect recovered where it is true."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from bough.learn.cases.case import load_case
+from bough.learn.hidden.branch import Branch
+from bough.learn.hidden.drive import drive
+from bough.learn.hidden.parts import Part
+from bough.learn.hidden.world_laws import Slip
+from bough.learn.inference.fit import find_modes
+from bough.learn.inference.target import Target
+from bough.learn.replay.equation_error import EquationError, torque_recordings
+from bough.learn.replay.recording import recordings
+from bough.learn.replay.rollout import Rollout
+from bough.learn.systems.acting import Acting
+from bough.learn.systems.branch import Unknowns
+from bough.learn.systems.system import free_of
+from bough.sim.base.errors import InputError
+from bough.sim.effects import effects
+from bough.sim.trees.measured import measured_tree
+from bough.sim.trees.stiffness import hold_rest_pose
+from bough.sim.trees.tree import Joint, Tree
+from oracles.arm_case import write_arm
+from oracles.effect_case import simulate, stick_case, swing_case
+from oracles.mujoco_tree import compiled
+
+KS, DS = 20.0, 0.4
+N, DT = 120, 0.02
+
+
+def push(scale=1.0, n=N):
+    """Return a force that rises, wobbles, and is let go, [T, 3]."""
+    t = np.arange(n) * DT
+    size = np.where(t < 1.0, np.interp(t, [0.1, 0.5], [0, 1]) * (1 + 0.3 * np.sin(9 * t)), 0.0)
+    return scale * size[:, None] * np.array([2.0, -3.0, 1.5])
+
+
+def by_mujoco(tree: Tree, link: int, force, substeps=80):
+    """Return the displacement [T, 3] of the point 0.4 m along a link under a force that is linear between samples."""
+    model, data = compiled(tree, DT / substeps)
+    held = data.qfrc_applied.copy()
+    mujoco.mj_forward(model, data)
+
+    def point():
+        return data.xpos[link + 1] + data.xmat[link + 1].reshape(3, 3) @ [0.0, 0.0, 0.4]
+
+    start, out = point().copy(), np.zeros((len(force), 3))
+    for k in range(len(force) - 1):
+        for step in range(substeps):
+            share = (step + 0.5) / substeps
+            data.qfrc_applied[:] = held
+            mujoco.mj_applyFT(model, data, force[k] * (1 - share) + force[k + 1] * share, np.zeros(3), point(),
+                              link + 1, data.qfrc_applied)  # fmt: skip
+            mujoco.mj_step(model, data)
+        out[k + 1] = point() - start
+    return out
+
+
+def close(ours, wanted):
+    """Agree to what a first-order step of 2.5 ms leaves of a swing of about 10 rad/s: 1.5 % of the largest value."""
+    assert np.abs(wanted).max() > 0.02
+    np.testing.assert_allclose(ours, wanted, atol=0.015 * np.abs(wanted).max())
+
+
+def test_tip_mass_equals_a_heavier_model(tmp_path):
+    """Move as MuJoCo does with the mass in the link's own mass, centre and inertia."""
+    case, extra = stick_case(tmp_path / "c", [push()]), 0.25
+    tree = measured_tree(case, [KS], [DS])
+    mass, com, tip = tree.mass[0], tree.com[0], np.array([0.0, 0.0, 0.5])
+    centre = (mass * com + extra * tip) / (mass + extra)
+    about = tree.inertia[0].copy()
+    for m, p in ((mass, com), (extra, tip)):
+        d = p - centre
+        about += m * (d @ d * np.eye(3) - np.outer(d, d))
+    heavy = hold_rest_pose(tree.with_(mass=[mass + extra], com=centre[None], inertia=about[None]))
+    ours = simulate(case, KS, DS, form="branch", without=("base_compliance",), tip_mass={"mass_kg": extra})[0, :, :3]
+    wanted = by_mujoco(heavy, 0, push())
+    close(ours, wanted)
+    assert np.abs(by_mujoco(tree, 0, push()) - wanted).max() > 0.1 * np.abs(wanted).max()
+
+
+@pytest.mark.parametrize("twist", [1.0, 0.05])
+def test_base_compliance_equals_a_chain_of_two(tmp_path, twist):
+    """Move as MuJoCo does with a ball joint 0.6 m below the base that carries a ball of wood, or a slender trunk."""
+    case, compliance, inertia, relaxation = stick_case(tmp_path / "c", [push()]), 0.02, 0.08, 0.03
+    branch = measured_tree(case, [KS], [DS])
+    two = Tree(
+        name="two", link_name=["trunk", "stick"], parent=[-1, 0], joint=[Joint.SPHERICAL] * 2,
+        position=[[0, 0, 0.4], [0, 0, 0.6]], rotation=[[1, 0, 0, 0], branch.rotation[0]],
+        mass=[1e-6, branch.mass[0]], com=[[0, 0, 0], branch.com[0]],
+        inertia=[inertia * np.diag([1.0, 1.0, twist]), branch.inertia[0]],
+        stiffness=[1 / compliance, KS], damping=[relaxation / compliance, DS],
+    )  # fmt: skip
+    unknowns = Unknowns(effects=(Acting("base_compliance"),))
+    rollout = Rollout(case, recordings(case), 1, unknowns=unknowns)
+    rollout._output.torch.fill_(torch.nan)
+    ours = rollout(torch.tensor([[KS, DS, compliance, inertia, relaxation, twist]]))[0, 0, :, :3].double().numpy()
+    close(ours, by_mujoco(hold_rest_pose(two), 1, push()))
+    locked = rollout(torch.tensor([[KS, DS, 0.0, inertia, 0.02, twist]]))[0, 0, :, :3].double().numpy()
+    plain = Rollout(case, recordings(case), 1)(torch.tensor([[KS, DS]]))[0, 0, :, :3].double().numpy()
+    np.testing.assert_allclose(locked, plain, atol=1e-6)  # float32 of a metre
+    assert np.abs(ours - plain).max() > 0.1 * np.abs(plain).max()
+
+
+@pytest.mark.parametrize("mobility", [0.012, -0.05])
+def test_grasp_slip_is_the_hidden_simulators(tmp_path, mobility):
+    """Change displacement and velocity of the point that is held as MuJoCo does with a grip that slides."""
+    case, force, least = stick_case(tmp_path / "c", [push(1.5)]), push(1.5), 1.0
+    rod = Branch([0.5], [0.012], [0.010], [35.0], [20.0], [KS], [DS], 800.0, 0.4, 9.81, ["stick"])
+    law = Part({}, law=lambda: Slip(mobility, least, 1e-6, (0.4, 0.1)))
+    wanted, held = (drive(rod, force[None], 1 / DT, parts=parts, wood=0.0, dt=5e-4) for parts in ([law], []))
+    slips = {"mobility_mpNs": mobility, "least_N": least}
+    ours, plain = (simulate(case, KS, DS, form="branch", without=("base_compliance",), **on)[0]
+                   for on in ({"grasp_slip": slips}, {}))  # fmt: skip
+    close((ours - plain)[:, :3], (wanted.moved - held.moved)[0])
+    close((ours - plain)[:, 3:], (wanted.velocity - held.velocity)[0])
+    np.testing.assert_allclose(ours[-1, :3], wanted.moved[0, -1], atol=1e-5)  # at rest: the slide alone
+
+
+@pytest.mark.parametrize("form", ["branch", "joint"])
+def test_a_replay_does_not_remember_the_one_before(tmp_path, form):
+    """Replay with memories, rates, poses and guards left as a world that blew up leaves them: the same bits."""
+    case = stick_case(tmp_path / "c", [push()]) if form == "branch" else swing_case(tmp_path / "c", [(0.3, 0.0)])
+    rollout = Rollout(case, recordings(case), 1, unknowns=Unknowns(effects=(Acting("hysteresis_boucwen", 0),)))
+    values = torch.tensor([[KS, DS, 0.6, 0.06, 1.4, 0.7, 0.6][: len(rollout.system.parameters)]], dtype=torch.float64)
+    first = rollout(values).clone()
+    for name in ("memory", "effort", "hold"):
+        rollout.effects.arrays[name].torch.fill_(torch.nan)
+    for array in (rollout.simulator.state.coordinate, rollout.simulator.state.velocity):
+        array.torch.fill_(torch.nan)
+    rollout.simulator.state.alive.torch.zero_()
+    assert first.abs().max() > 1e-3
+    assert torch.equal(rollout(values), first)
+
+
+# ---- recovery ------------------------------------------------------------------------------------------------------
+
+BRANCH_TRUTH = {
+    "cubic_stiffness": (6.0, 0.5),
+    "dry_friction": (0.25, 0.004, 0.4),
+    "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6),
+    "quadratic_drag": (25.0, 0.4, 0.3),
+    "viscoelastic_sls": (0.5, 0.3),
+    "tip_mass": (0.2,),
+    "base_compliance": (0.02, 0.1, 0.02, 0.3),
+    "backlash": (0.03, 0.5, 0.1),
+    "plastic_set": (0.4, 0.1, 0.6, 0.5),
+    "partial_rupture": (0.4, 20.9),
+    "grasp_slip": (-0.05, 0.5, 0.2, 1.0),
+    "force_bias": (0.2, -0.3, 0.25),
+    "force_scale": (1.3,),
+    "time_delay": (0.03,),
+    "steady_wind": (30.0, -40.0, 20.0, 0.4),
+    "wind_gust": (20.0, -15.0, 10.0, 12.0, 0.9, 0.4),
+    "gravity_comp_error": (0.15, 0.6),
+    "anisotropic_stiffness": (0.8, 0.7),
+    "bilinear_stiffness": (1.0, 1.2),
+    "bending_torsion_coupling": (0.4, 0.9),
+}
+FIXED_AT_TRUTH = {
+    "plastic_set": ("separate",),
+    "grasp_slip": ("viscous",),  # less of it is a jump at the threshold
+    "quadratic_drag": ("across",),  # a stick on a ball joint moves across itself alone
+    "gravity_comp_error": ("tared",),
+    "wind_gust": ("frequency_Hz", "across"),
+    "steady_wind": ("across",),
+    "partial_rupture": ("moment_s",),
+}
+
+
+def switched_off(name):
+    """Return every other effect, known to be off: one kernel does for all tests but the trunk's."""
+    others = () if name == "base_compliance" else [e for e in effects() if e.name in {*BRANCH_TRUTH} - {name}]
+    return [Acting(e.name, 0 if e.branch.per_joint else None, {p.name: p.neutral for p in e.branch.parameters})
+            for e in others if e.name != "base_compliance"]  # fmt: skip
+
+
+def test_every_effect_is_recovered_below():
+    """Leave no effect of the format's list without a truth to recover."""
+    assert {e.name for e in effects() if e.branch is not None} >= set(BRANCH_TRUTH)
+    assert len(BRANCH_TRUTH) == 20
+
+
+@pytest.fixture(scope="module")
+def stick(tmp_path_factory):
+    """Probe a stick twice, in opposite directions, with open rows at both ends."""
+    open_ends = [(0.0, 0.08), (1.04, (N - 1) * DT)]
+    case = stick_case(tmp_path_factory.mktemp("stick"), [push(2.0), push(-1.5)[:, [1, 0, 2]]], opened=open_ends)
+    moved = tuple(replace(t, displacement=t.displacement + 0.2 * np.eye(3)[0], velocity=t.velocity + 1.0)
+                  for t in case.trajectories)  # fmt: skip
+    return replace(case, trajectories=moved)  # priors are scaled by what was measured: 0.2 m, 1.7 m/s
+
+
+@pytest.mark.parametrize("name", sorted(BRANCH_TRUTH))
+def test_truth_is_recovered(stick, name):
+    """Find spring, damper and effect by Levenberg-Marquardt from a third off, from exact motion."""
+    truth = dict(zip([p.name for p in next(e for e in effects() if e.name == name).branch.parameters],
+                     BRANCH_TRUTH[name], strict=True))  # fmt: skip
+    row = next(e for e in effects() if e.name == name)
+    known = {p: truth[p] for p in FIXED_AT_TRUTH.get(name, ())}
+    unknowns = Unknowns(effects=(*switched_off(name), Acting(name, 0 if row.branch.per_joint else None, known)))
+    values = torch.tensor([[KS, DS, *(v for p, v in truth.items() if p not in known)]], dtype=torch.float64)
+    motion = Rollout(stick, recordings(stick), 1, unknowns=unknowns)(values)[0].double().numpy()
+    chosen = [replace(r, output=m) for r, m in zip(recordings(stick), motion, strict=True)]
+    target = Target(stick, chosen, torch.tensor([1e-4] * 3 + [1e-3] * 3), unknowns=unknowns)
+    parameters = target.system.parameters
+    free = free_of(parameters, values)
+    log = torch.tensor([p.scale == "log" for p in parameters])
+    size = torch.where(log, 0.3, 0.12 * torch.tensor([p.high - p.low for p in parameters]).clamp(max=4 * values.abs()))
+    signs = torch.tensor([[1.0, -1, 1, -1, 1, 1, 1][: len(parameters)], [-1.0, -1, -1, 1, 1, -1, 1][: len(parameters)]])
+    starts = torch.cat([free + size * signs, target.log_noise0.expand(2, -1)], 1)
+    modes = find_modes(target, starts)
+    best = modes.theta[modes.log_posterior.argmax(), : len(parameters)]
+    if name == "steady_wind":  # along the only segment it acts as a thousandth of the spring, below single precision
+        axis = torch.as_tensor(stick.axis[0])
+        best[2:] += axis * (axis @ (free[0, 2:] - best[2:]))
+    # exact data: what is left is the noise assumed, four standard deviations of it
+    spread = torch.linalg.inv(modes.precision[modes.log_posterior.argmax()]).diagonal().sqrt()[: len(parameters)]
+    assert ((best - free[0]).abs() < 4 * spread + 0.02 * torch.where(log, 1.0, free[0].abs())).all(), list(
+        zip([p.name for p in parameters], best.tolist(), free[0].tolist(), spread.tolist(), strict=True)
+    )
+    assert spread[2] < torch.where(log[2], 0.3, 0.3 * free[0, 2].abs())  # the data does tell
+
+
+def test_faulty_effects_are_one_line(stick, tmp_path):
+    """Refuse what cannot act, naming it and what is allowed."""
+    for acting, words in (
+        ([Acting("friction", 0)], "'friction'; allowed: one of cubic_stiffness"),
+        ([Acting("dry_friction")], "joint None; allowed: a joint, 0 to 0"),
+        ([Acting("dry_friction", 1)], "joint 1; allowed: a joint, 0 to 0"),
+        ([Acting("tip_mass", 0)], "joint 0; allowed: no joint"),
+        ([Acting("dry_friction", 0)] * 2, "a second time"),
+        ([Acting("dry_friction", 0, {"torque": 1.0})], "'torque'; allowed: one of torque_Nm"),
+        ([Acting("dry_friction", 0, {"torque_Nm": np.nan})], "a finite number"),
+    ):
+        with pytest.raises(InputError) as e:
+            Rollout(stick, recordings(stick), 1, unknowns=Unknowns(effects=tuple(acting)))
+        assert words in str(e.value) and "\n" not in str(e.value)
+    hinge = swing_case(tmp_path / "swing", [(0.1, 0.0)])
+    with pytest.raises(InputError, match="an effect that a joint case cannot have"):
+        Rollout(hinge, recordings(hinge), 1, unknowns=Unknowns(effects=(Acting("tip_mass"),)))
+
+
+def test_torque_fit_takes_effects(tmp_path):
+    """Need T more at one joint, less as it turns back, and c v |v| at the other; refuse what is not at a joint."""
+    case = load_case(write_arm(tmp_path / "arm", unknown=["damping"], seeds=(0,)))
+    chosen = torque_recordings(case)
+    acting = (Acting("dry_friction", 1, {"bend_rad": 5e-4, "gradual": 0.0}), Acting("quadratic_drag", 0))
+    values = torch.tensor([[0.1, 0.2, 0.7, 0.3]])
+    plain = EquationError(case, chosen, 1)(values[:, :2])[0, 0].double().numpy().copy()
+    rollout = EquationError(case, chosen, 1, unknowns=Unknowns(effects=acting))
+    assert [p.name for p in rollout.system.parameters[2:]] == ["dry_friction@1 torque_Nm",
+                                                             "quadratic_drag@0 coefficient_Nms2"]  # fmt: skip
+    rollout._output.torch.fill_(torch.nan)
+    extra = rollout(values)[0, 0].double().numpy() - plain
+    rate = chosen[0].input[:, [1, 4]]
+    np.testing.assert_allclose(extra[:, 0], 0.3 * rate[:, 0] * np.abs(rate[:, 0]), atol=2e-5)
+    bent, friction = 0.0, []
+    turns = rate[:, 1] * float(chosen[0].t[1] - chosen[0].t[0])
+    for turn in turns:
+        bent = np.clip(bent + turn, -5e-4, 5e-4)  # [rad]: it bends before it slips
+        friction.append(0.7 * np.clip(bent + turn, -5e-4, 5e-4) / 5e-4)  # at the end of the step
+    np.testing.assert_allclose(extra[:, 1], friction, atol=2e-5)
+    fast = np.abs(turns) > 5e-4  # even where it turns back it slips by the end of the next sample
+    np.testing.assert_allclose(extra[fast, 1], 0.7 * np.sign(turns[fast]), atol=2e-5)
+    assert fast.mean() > 0.5
+    assert np.abs(extra).max(axis=0).min() > 0.1
+    with pytest.raises(InputError, match="force_scale in a torque fit"):
+        EquationError(case, chosen, 1, unknowns=Unknowns(effects=(Acting("force_scale", 0),)))

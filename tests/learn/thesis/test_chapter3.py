@@ -1,0 +1,188 @@
+"""Chapter 3 again: scores against scipy and by hand, samplers' calls counted, the command as a user types it."""
+
+import html
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+import torch
+import tyro
+from bough.cli.reproduce import Reproduce
+from bough.learn.reports.page import KeyNumber, ReportContent, ReportTable, write_report
+from bough.learn.thesis.chapter3 import baselines, prior, robust
+from bough.learn.thesis.chapter3 import report as chapter3_report
+from bough.learn.thesis.chapter3.bench import KT, Bench, Scores
+from bough.learn.thesis.chapter3.cost import Cost, exponent, linear_fit
+from bough.learn.thesis.chapter3.report import beaten
+from bough.learn.thesis.chapter3.reproduce import Findings, Options
+from bough.sim.base.console import start_warp
+from bough.sim.base.errors import InputError
+from scipy import stats
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """One branch of two segments with three unseen trajectories."""
+    start_warp()
+    return Bench(tmp_path_factory.mktemp("bench"), 4, segments=2, unseen=3)
+
+
+def test_true_springs_explain_their_own_records(bench):
+    """Find no loss at the truth beyond what nine printed digits lose, and springs that fall from base to tip."""
+    target = bench.target()
+    loss = -target.log_likelihood(target.predict(bench.truth[None]), torch.zeros(1, 0)) * KT
+    # 5 records, 120 samples of 2 + 2 channels below 1 in float32: at most 5 sqrt(480) 1e-6
+    assert 0.0 <= float(loss) < 1e-4
+    assert (bench.truth[:2].diff() < 0).all() and (bench.truth[2:].diff() < 0).all()
+
+
+def test_scores_are_those_of_a_kernel_density(bench):
+    """Agree with scipy's Gaussian kernel density (Scott) on the interval, and with numpy's norms on the loss."""
+    theta = bench.uniform(16, 0)
+    low, high = bench.predictive(theta)
+    clean = bench.target(chosen=bench.unseen).predict(theta)[..., [0, 2]].numpy()
+    for place in ((0, 40, 1), (2, 90, 0)):
+        density = stats.gaussian_kde(clean[(slice(None), *place)], "scott")
+        # the quantiles are bisected to 1e-12 of the spread; the bandwidth is widened by 1e-9 m
+        assert density.integrate_box_1d(-np.inf, float(low[place])) == pytest.approx(0.025, abs=1e-6)
+        assert density.integrate_box_1d(-np.inf, float(high[place])) == pytest.approx(0.975, abs=1e-6)
+    scores = bench.score(theta, kt=0.5)
+    truth = np.stack([r.output[:, [0, 2]] for r in bench.unseen])
+    assert scores.outside == np.mean((truth < low.numpy()) | (truth > high.numpy()))
+    assert scores.width == pytest.approx(float((high - low).mean()))
+    error = np.stack([r.output for r in bench.train]) - bench.target().predict(theta).numpy()
+    norms = np.sqrt((error[..., :3] ** 2).sum((2, 3))) + np.sqrt((error[..., 3:] ** 2).sum((2, 3)))
+    assert scores.nll == pytest.approx(norms.sum(1).mean() / 0.5, rel=1e-6)
+    np.testing.assert_allclose(scores.spread, theta.numpy().std(0, ddof=1))
+
+
+def test_energy_distance_is_scipys():
+    """Agree in one dimension with scipy, which gives the root."""
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=30), rng.normal(1.0, 2.0, size=200)
+    mine = baselines.energy_distance(torch.tensor(x)[:, None], torch.tensor(y)[:, None])
+    assert mine == pytest.approx(stats.energy_distance(x, y) ** 2, rel=1e-10)
+
+
+def test_calls_are_rollouts(bench):
+    """Count one call for each particle, offset and trajectory where no world is padding."""
+    target = bench.target()
+    before = baselines.calls_of(target)
+    target.evaluate(bench.uniform(16, 0))  # 16 x (1 + 2 x 4) sets fill whole vectors
+    assert baselines.calls_of(target) - before == 16 * 9 * 5
+
+
+def test_random_walk_never_adapts():
+    """Propose with the given step from first to last; at a step far below the scale nearly everything is accepted."""
+    generator = torch.Generator().manual_seed(0)
+    start = torch.randn(200, 2, generator=generator, dtype=torch.float64)
+    walk = baselines.RandomWalk(start, iterations=40, seed=1, step=0.01)
+    normal = stats.multivariate_normal(np.zeros(2))
+
+    class Normal:
+        def log_density(self, x):
+            return torch.tensor(normal.logpdf(x.numpy()))
+
+    trace = torch.stack([walk.step(Normal()).clone() for _ in range(40)])
+    moves = torch.cat([trace[:1] - start, trace.diff(dim=0)]).flatten()
+    moved = moves[moves != 0.0]
+    assert len(moved) > 0.95 * len(moves)
+    # 15,000 moves: the deviation's standard error is 0.6 %; acceptance bends it by far less
+    assert float(moved.std()) == pytest.approx(0.01, rel=0.04)
+    assert torch.equal(walk.factor, 0.01 * torch.eye(2, dtype=torch.float64))
+
+
+def test_reference_is_resampled_by_weight():
+    """Turn draws of N(0, 1) into draws of N(1, 1) by the ratio of the densities, exp(x)."""
+    flat = torch.randn(200_000, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    made = baselines._reference(flat, torch.softmax(flat[:, 0], 0), 1.0, particles=32, seed=0)
+    # 1024 draws: the mean's standard error is 0.03, the deviation's 0.02
+    assert float(made.draws.mean()) == pytest.approx(1.0, abs=0.12)
+    assert float(made.draws.std()) == pytest.approx(1.0, abs=0.09)
+    assert made.distance(made.draws) < 1e-9 < made.exact
+    assert made.worst_mean(made.draws + 2.0 * made.draws.std()) == pytest.approx(2.0)
+    # a shift by s deviations costs about s^2 / sqrt(pi) for small s, and exact draws some 2 / sqrt(pi) / 32
+    assert made.exact == pytest.approx(2.0 / math.sqrt(math.pi) / 32, rel=0.5)
+
+
+def test_line_and_power_of_exact_data():
+    """Recover slope and power of exact lines and powers; a square is no line."""
+    line = [Cost(n, 0.1 + 0.02 * n, n) for n in (1, 2, 5)]
+    square = [Cost(n, 0.3 * n**2, n) for n in (1, 2, 4, 8)]
+    assert linear_fit(line) == pytest.approx((0.02, 1.0))
+    assert exponent(square) == pytest.approx(2.0) and linear_fit(square)[1] < 0.97
+
+
+def entry(method, distance, nll, width):
+    return baselines.Entry(0, method, 1.0, 100, Scores(width, 0.0, nll, (1.0,)), distance, 0.0, torch.zeros(1, 1))
+
+
+def test_beating_takes_all_three_measures():
+    """Count as beaten only a rival that is worse in distance, NLL and width alike."""
+    entries = [entry(name, 1.0, 5.0, 0.001) for name in ("SVGD", "NNSVGD")]
+    entries += [entry("SGLD", 1.0, 60.0, 0.001), entry("SGHMC", 1.0, 5.0, 0.02)]
+    entries += [entry("MH, adaptive", 30.0, 50.0, 0.01), entry("MH, step 5 %", 90.0, 70.0, 0.005)]
+    assert beaten(Findings(Options(), [], entries=entries)) == (["SVGD", "NNSVGD"], ["SGLD", "SGHMC"])
+
+
+def test_tables_are_drawn_and_escaped(tmp_path):
+    """Show every cell of a plain table as text; refuse a row that does not fit its header."""
+    table = ReportTable("Widths <1>", ("run", "cm"), [("a & b", 1.2345), ("c", 7)], "Why <so>.")
+    page = ReportContent("t", "h", "good", [KeyNumber("n", 1.0, "", "e")], tables=[table])
+    text = write_report(tmp_path, page).read_text()
+    for part in ("Widths &lt;1&gt;", "a &amp; b", '<td class="n">1.23</td>', '<td class="n">7</td>', "Why &lt;so&gt;."):
+        assert part in text
+    with pytest.raises(ValueError, match="row 1: 1 cells under 2 headings"):
+        ReportTable("t", ("a", "b"), [(1, 2), (1,)])
+
+
+@pytest.mark.parametrize(("option", "value"), [("particles", 4), ("iterations", 71), ("branches", 0), ("seed", -1)])
+def test_bad_options_are_refused_in_one_line(tmp_path, option, value):
+    """Name the option, what was found and what is allowed, and write nothing."""
+    command = command_of(tmp_path / "out", f"--{option}", str(value))
+    with pytest.raises(InputError, match=rf"^reproduce: --{option}: found {value}; allowed: \d+ ") as caught:
+        command.run()
+    assert "\n" not in str(caught.value) and not (tmp_path / "out").exists()
+
+
+def command_of(out, *options):
+    arguments = ["chapter3", "--out", str(out), *options]
+    return tyro.cli(Reproduce, args=arguments, config=(tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone))
+
+
+@pytest.fixture
+def sparse(monkeypatch):
+    """Keep of every sweep's values the ends, and what the report singles out."""
+    for module in (prior, chapter3_report):
+        monkeypatch.setattr(module, "TEMPERATURES", (prior.KT, prior.ETA_KT, prior.TEMPERATURES[-1]))
+    monkeypatch.setattr(robust, "NOISES", (robust.NOISES[0], robust.NOISES[-1]))
+
+
+def test_command_writes_everything(tmp_path, capsys, sparse):
+    """Write the page with every table and figure inside, numbers in tables.json, and say where; tiny, so no verdicts.
+
+    Ten iterations are too few to converge, which the exit code says.
+    """
+    out = tmp_path / "made" / "here"
+    sizes = ("--particles", "12", "--iterations", "10", "--branches", "1", "--unseen", "3")
+    code = command_of(out, *sizes).run()
+    said = capsys.readouterr().out
+    assert said.count("\n") == 1 and "report.html" in said
+    kept = json.loads((out / "tables.json").read_text())
+    names = {"table_3_1", "table_3_1_sweep", "table_3_1_published", "figure_3_5", "figure_3_6", "figure_3_7",
+             "figure_3_8", "figure_3_9", "table_a_1", "cost"}  # fmt: skip
+    assert set(kept["tables"]) == names and kept["options"]["particles"] == 12
+    text = (out / "report.html").read_text()
+    for table in kept["tables"].values():
+        assert table["rows"] and all(len(row) == len(table["header"]) for row in table["rows"])
+        assert table["title"] in html.unescape(text)
+    pictures = sorted(p.name for p in out.glob("*.png"))
+    assert len(pictures) == 8 == text.count("data:image/png;base64,")
+    assert not re.search(r"https?:", text)
+    own = {row[0]: row for row in kept["tables"]["table_a_1"]["rows"]}["bough, NNSVGD, R = 3"]
+    # every iteration moves 12 particles with 13 offsets on 5 records of 120 samples; the search for modes comes on top
+    assert own[5] > 11 * 12 * 13 * 5 * 120
+    converged = [row[-1] == "yes" for row in kept["tables"]["table_a_1"]["rows"][:2]]
+    assert code == (0 if all(converged) else 3)
