@@ -5,13 +5,14 @@ WORKERS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := out/demo
+PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format bench docs clean
+.PHONY: help setup demo test test-all lint format bench docs clean
 
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
 
 setup: $(VENV)/installed-test  ## install bough and what its tests need into .venv
 
@@ -41,8 +42,11 @@ demo: $(VENV)/installed-test  ## grow a forest, simulate it, learn a branch's sp
 		"and $(DEMO)/diagnosis/report.html (what was missing; the answer is" \
 		"$(DEMO)/hidden_answer.json)."
 
-test: $(VENV)/installed-test  ## run all tests (minutes)
-	$(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
+test: $(VENV)/installed-test  ## run the tests that guard behaviour (minutes; tests/long.py lists what is left out)
+	$(PYTEST) -m "not long"
+
+test-all: $(VENV)/installed-test  ## run all tests, the long oracles too
+	$(PYTEST)
 
 lint: $(VENV)/installed-dev  ## check style, formatting and types
 	$(BIN)/ruff check .

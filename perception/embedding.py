@@ -15,7 +15,7 @@ from ..kernels.lanes.real import real_type
 from ..kernels.points.tensors import count_pairs_kernel, embed_points_kernel
 from ..sim.base.errors import InputError
 from ..sim.base.host import num_threads, simd_width
-from ..sim.base.thread_pool import together
+from ..sim.base.thread_pool import recorded, together
 from .frequencies import draw_frequencies
 
 #: Clouds a CPU thread should have at least: handing over to another costs some 50 microseconds.
@@ -62,7 +62,7 @@ def embed(
 
     def record(first: int, clouds: int, row: int) -> Any:
         inputs = [array, marks, int(mask is not None), waves, first, row, _sums(width, count, str(device)), into]
-        return wp.launch(kernel, (count if width == 1 else 1, clouds), inputs, device=device, record_cmd=True)
+        return recorded(kernel, (count if width == 1 else 1, clouds), inputs, device)
 
     _launch(record, flat.shape[0], device)
     return out.reshape(*points.shape[:-2], 2 * count)
@@ -111,7 +111,7 @@ def occlusion(
     def record(start: int, clouds: int, _row: int) -> Any:
         inputs = [a, a_mask, masked[0], b, b_mask, masked[1], float(limit * limit), pairs, start, like, into]
         dim = (count.shape[1], clouds)
-        return wp.launch(count_pairs_kernel(width), dim, inputs, device=device, record_cmd=True)
+        return recorded(count_pairs_kernel(width), dim, inputs, device)
 
     _launch(record, a_flat.shape[0], device)
     return (count.sum(1).clamp(max=pairs).to(torch.float32) / pairs).reshape(first.shape[:-2])

@@ -17,7 +17,7 @@ from ..kernels.points.embedding import embed_clouds_kernel
 from ..kernels.points.nearest import Few, finish_kernel, margin_kernel, nearest_kernel, occlusion_kernel
 from ..sim.base.errors import InputError
 from ..sim.base.host import num_threads, simd_width
-from ..sim.base.thread_pool import together
+from ..sim.base.thread_pool import recorded, together
 from ..sim.engine import arrays
 from .cloud_memory import CloudMemory
 from .frequencies import draw_frequencies
@@ -266,7 +266,7 @@ class Sensor:
         inputs = [self._capsules, self._num_arm, self._target, float(s.rounded), s.zoom, self._seed, tick,
                   self._max_noise, first, row, clouds.kernel]  # fmt: skip
         dim = (count, NUM_CLOUDS) if w > 1 else (NUM_CLOUDS, count)
-        return wp.launch(sample_kernel(w), dim=dim, inputs=inputs, device=self.device, record_cmd=True)
+        return recorded(sample_kernel(w), dim, inputs, self.device)
 
     def _commands(self, first: int, count: int, row: int) -> list[Any]:
         """Return the recorded launches for ``count`` worlds from ``first``, whose clouds go to rows from ``row``."""
@@ -286,7 +286,7 @@ class Sensor:
             (finish_kernel, (count,), [self._count, self._point, self._pair, s.pairs, s.margin, local, first,
                                        self._tick, self._occlusion, self._distances, self._breach, self._observation]),
         ]  # fmt: skip
-        launches = [wp.launch(k, dim=d, inputs=i, device=self.device, record_cmd=True) for k, d, i in plan]
+        launches = [recorded(k, d, i, self.device) for k, d, i in plan]
         return [self._sample(first, count, row, self._clouds, self._tick), *launches]
 
 

@@ -1,4 +1,4 @@
-"""Shared by all tests: the oracles on the path, the long files first, and no log files in the repository."""
+"""Shared by all tests: the oracles on the path, which tests are long, long files first, no log files left behind."""
 
 import os
 import sys
@@ -7,23 +7,40 @@ from pathlib import Path
 import pytest
 
 os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
-sys.path.insert(0, str(Path(__file__).parent))
+TESTS = Path(__file__).parent
+sys.path.insert(0, str(TESTS))
 
-#: Files that take minutes, longest first. They begin first, so that no worker is left with one when the other is done.
-LONG = (
+from long import LONG  # noqa: E402
+
+#: Files that take longest, in this order. They begin first, so that no worker is left with one when the other is done.
+FIRST = (
     "learn/gap/test_gap.py", "test_repository.py", "cli/test_diagnose_story.py", "cli/test_train_story.py",
     "cli/test_identify_story.py", "learn/gap/test_gap_real.py", "learn/thesis/test_chapter3.py",
-    "sim/arms/test_contact_worlds.py", "sim/arms/test_contact.py", "cli/test_simulate_story.py",
-    "kernels/test_ptx.py", "sim/engine/test_gpu_ready.py", "sim/engine/test_simulator_effects.py",
-    "learn/inference/test_identify.py", "learn/thesis/test_chapter5.py", "sim/engine/test_simulator.py",
-    "kernels/effects/test_effects.py", "learn/gap/test_gap_joints.py", "learn/systems/test_effect_systems.py",
+    "sim/arms/test_contact_worlds.py", "sim/arms/test_contact.py", "cli/test_simulate_story.py", "kernels/test_ptx.py",
+    "sim/engine/test_gpu_ready.py", "sim/engine/test_simulator_effects.py", "learn/inference/test_identify.py",
+    "learn/thesis/test_chapter5.py", "sim/engine/test_simulator.py", "kernels/effects/test_effects.py",
+    "learn/gap/test_gap_joints.py", "learn/systems/test_effect_systems.py",
 )  # fmt: skip
 
 
-def pytest_collection_modifyitems(items):
-    """Put the files that take longest first; within a file and among the others the order stays."""
-    ranks = {str(Path(__file__).parent / name): rank for rank, name in enumerate(LONG)}
-    items.sort(key=lambda item: ranks.get(str(item.path), len(LONG)))
+def pytest_configure(config):
+    """Declare the marker of `long.LONG`."""
+    config.addinivalue_line("markers", "long(reason): left to make test-all, see tests/long.py")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Mark long tests with their reasons, and put long files first; within a file and among the others order stays."""
+    unused = set(LONG)
+    for item in items:
+        name = f"{item.path.relative_to(TESTS)}::{item.name}"
+        for key in LONG:
+            if name.startswith(key):
+                item.add_marker(pytest.mark.long(LONG[key]))
+                unused.discard(key)
+    if unused and config.args == config.getini("testpaths"):
+        raise pytest.UsageError(f"tests/long.py: no test begins with {', '.join(sorted(unused))}")
+    ranks = {TESTS / name: rank for rank, name in enumerate(FIRST)}
+    items.sort(key=lambda item: ranks.get(item.path, len(FIRST)))
 
 
 @pytest.fixture(autouse=True)

@@ -216,13 +216,13 @@ def _check_box(case: BranchCase | JointCase, posterior: Posterior) -> None:
 
 
 def identify(
-    given: BranchCase | JointCase | str | Path, out: str | Path, settings: Settings, *,
+    given: BranchCase | JointCase | str | Path, out: str | Path, settings: Settings | None = None, *,
     model: str | Path | None = None, resume: bool = False, progress: Progress = lambda s, d: None,
 ) -> Outcome:  # fmt: skip
     """Identify a case, as loaded or by its folder, and write posterior, report and figures into ``out``.
 
-    The effects of ``model``, a ``model.yaml`` of the same branch, act with the parameters that it gives; its springs
-    and dampers are not used.
+    Without ``settings`` those of ``bough identify`` without options are taken. The effects of ``model``, a
+    ``model.yaml`` of the same branch, act with the parameters that it gives; its springs and dampers are not used.
 
     What has been reached is kept in a hidden folder beside ``out`` until the run ends, so that ``resume`` goes on with
     a killed one to the same bits (on one machine's CPU).
@@ -230,7 +230,7 @@ def identify(
     Raises:
         InputError: The case, the settings or the model cannot be used; nothing is written then.
     """
-    target = Path(out)
+    target, settings = Path(out), settings or Settings()
     with output_folder(target) as work:
         case = given if isinstance(given, BranchCase | JointCase) else load_case(given)
         settings.check()

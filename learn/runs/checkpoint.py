@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import shutil
 import time
@@ -60,7 +61,7 @@ class Checkpoint:
 
     def due(self, name: str) -> bool:
         """Return whether a state should be written now."""
-        return self.folder is not None and time.monotonic() - self._written.get(name, 0.0) >= self.every
+        return self.folder is not None and time.monotonic() - self._written.get(name, -math.inf) >= self.every
 
     def save(self, name: str, state: dict[str, Any]) -> None:
         """Write a state."""

@@ -12,13 +12,14 @@ if TYPE_CHECKING:
 
 
 def make_task(
-    name: str, settings: TaskSettings, *, num_envs: int, seed: int, device: str, test: bool = False
-) -> Powerline:
-    """Make a task's worlds.
+    name: str, settings: TaskSettings | None = None, *, num_envs: int = 64, seed: int = 0, device: str = "cpu",
+    test: bool = False,
+) -> Powerline:  # fmt: skip
+    """Make a task's worlds: an rsl-rl ``VecEnv`` whose tensors never leave the device.
 
     Args:
         name: ``powerline``, ``exposure`` or ``inspection``.
-        settings: Its settings.
+        settings: Its settings; None takes the preset ``cpu``.
         num_envs: Number of worlds.
         seed: Seed of everything random. Tests draw other numbers from the same seed than training.
         device: ``cpu`` or ``cuda:N``.
@@ -28,6 +29,7 @@ def make_task(
         InputError: There is no such task or observation group, no world, a line out of reach, or rsl-rl is missing.
     """
     check_name(name)
+    settings = settings or TaskSettings()
     settings.check()
     require_rsl_rl()
     from .powerline import Powerline

@@ -18,7 +18,7 @@ from ...sim.arms.arm import Arm
 from ...sim.arms.jaco2 import jaco2
 from ...sim.arms.simulator import ArmSimulator, Contacts
 from ...sim.base.errors import InputError
-from ...sim.base.thread_pool import Launches
+from ...sim.base.thread_pool import Launches, recorded
 from ...sim.scenes.scene import Axes, Scene, grow_trees, seed_sequence, share_trees
 from ...sim.wood.effects import give_effects, names_of
 from .memory import copies, put_back, simulator_tensors
@@ -177,9 +177,7 @@ class Powerline(VecEnv):
     def _launch(self, kernel: Any, *inputs: Any) -> None:
         """Launch a kernel, one thread a world; what it is given never changes, so the launch is recorded once."""
         if kernel not in self._recorded:
-            self._recorded[kernel] = Launches(
-                [wp.launch(kernel, dim=self.num_envs, inputs=list(inputs), device=self._device, record_cmd=True)]
-            )
+            self._recorded[kernel] = Launches([recorded(kernel, self.num_envs, inputs, self._device)])
         self._recorded[kernel]()
 
     def _begin(self) -> None:

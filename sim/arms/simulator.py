@@ -16,6 +16,7 @@ from ...kernels.contact.reset_arm import reset_arm_kernel
 from ...kernels.contact.step import contact_step_kernel
 from ...kernels.effects.step import term_types
 from ..base.errors import InputError
+from ..base.thread_pool import recorded
 from ..engine.model import Model
 from ..engine.rupture import Rupture
 from ..engine.simulator import Simulator
@@ -273,5 +274,5 @@ class ArmSimulator(Simulator):
     def _record_resets(self, chosen: wp.array) -> list[Any]:
         kernel, m = reset_arm_kernel(self.arm.num_dofs), self.model
         inputs = [chosen, self._start_q, *self._arm.kernel[1:], self._touch.kernel[0]]
-        own = wp.launch(kernel, dim=m.num_worlds, inputs=inputs, device=m.device, record_cmd=True)
+        own = recorded(kernel, m.num_worlds, inputs, m.device)
         return [*super()._record_resets(chosen), own]

@@ -21,6 +21,20 @@ from .host import num_threads
 PATIENCE = 5.0e-4
 
 
+def recorded(kernel: Any, dim: Any, inputs: Sequence[Any], device: Any, block: int | None = None) -> Any:
+    """Return a launch (`warp.Launch`) that is not made now; it keeps the arrays that it is given.
+
+    Args:
+        kernel: Warp kernel.
+        dim: Threads.
+        inputs: All arguments of the kernel.
+        device: Warp device.
+        block: Threads of a block; None takes Warp's default.
+    """
+    size = {} if block is None else {"block_dim": block}
+    return wp.launch(kernel, dim=dim, inputs=list(inputs), device=device, record_cmd=True, **size)
+
+
 class Launches:
     """Recorded launches of one device that run one after the other where they are called, inside a graph capture too.
 
@@ -129,7 +143,7 @@ class _Pool:
 
     def _record(self, kernel: Any, rows: int, *more: Any) -> _Call:
         inputs = [self._array, rows, *more, self._turns]
-        return _Call(wp.launch(kernel, dim=1, inputs=inputs, device="cpu", block_dim=1, record_cmd=True))
+        return _Call(recorded(kernel, 1, inputs, "cpu", block=1))
 
     def _looks(self) -> int:
         """Return how many looks fill `PATIENCE`."""

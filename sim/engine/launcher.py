@@ -10,7 +10,7 @@ import warp as wp
 
 from ...kernels.tree.layout import layout_of
 from ..base.host import num_threads
-from ..base.thread_pool import Launches, together
+from ..base.thread_pool import Launches, recorded, together
 from .arrays import LaneArray
 from .model import Model
 
@@ -80,13 +80,12 @@ class Launcher:
         kernel.module.load(self.device, block_dim=block)  # as launches do: compile once
         ranges = self._ranges if split else [(0, self.model.groups)]
         commands = [
-            wp.launch(
+            recorded(
                 kernel,
-                dim=b - a,
-                inputs=[*before, self.scratch, a, -1 if self.device.is_cuda else row * self._stride, *after],
-                device=self.device,
-                block_dim=block,
-                record_cmd=True,
+                b - a,
+                [*before, self.scratch, a, -1 if self.device.is_cuda else row * self._stride, *after],
+                self.device,
+                block,
             )
             for row, (a, b) in enumerate(ranges)
         ]

@@ -17,6 +17,7 @@ from ...kernels.tree.stability import damping_kernel
 from ...kernels.tree.step import step_kernels
 from ..base import rotation
 from ..base.errors import InputError
+from ..base.thread_pool import recorded
 from ..base.types import Array, IntArray
 from .arrays import integer_array
 from .forest_effects import ForestEffects
@@ -235,7 +236,7 @@ class Simulator:
         faults = [self.state.alive.entries(), self.state._fault_link, self.state._fault_tick]
         plan.append((kernels.revive, m.groups * m.width, faults))
         given = [chosen, self._slot_world]
-        return [wp.launch(k, dim=d, inputs=[*given, *i], device=m.device, record_cmd=True) for k, d, i in plan]
+        return [recorded(k, d, [*given, *i], m.device) for k, d, i in plan]
 
     # ---- looking -------------------------------------------------------------------------------------------------
 

@@ -24,6 +24,7 @@ from ..arms.arrays import arm_capsules
 from ..arms.simulator import ArmSimulator
 from ..base.errors import InputError
 from ..base.rotation import quat_rotate
+from ..base.thread_pool import recorded
 from ..base.types import Array, IntArray
 from ..engine.launcher import Recorded
 from ..formats.export_mesh import shape_ends
@@ -369,7 +370,7 @@ class Scene:
         ]
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> Any:
-        return wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, record_cmd=True)
+        return recorded(kernel, dim, inputs, self.device)
 
     def _plant(self, mask: wp.array) -> Any:
         sim, f, n = self._simulator, self._fields, self._nominal

@@ -33,8 +33,10 @@ def test_another_run_is_refused_and_a_fresh_one_forgets(tmp_path):
     assert fresh.load("a") is None
 
 
-def test_states_are_not_written_too_often(tmp_path):
-    """A state is due at once, then only after a while."""
+@pytest.mark.parametrize("clock", [5.0, 1e7])
+def test_states_are_not_written_too_often(tmp_path, monkeypatch, clock):
+    """A state is due at once, also on a machine that was started seconds ago, then only after a while."""
+    monkeypatch.setattr("time.monotonic", lambda: clock)
     keep = Checkpoint(tmp_path / "run", "key", every=3600.0)
     keep.open(resume=False)
     assert keep.due("a")

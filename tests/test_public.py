@@ -1,0 +1,51 @@
+"""What ``import bough`` offers: lazily, completely, and as the page on the API lists it."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import bough
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+NAMES = sorted(set(bough.__all__) - {"__version__"})
+
+
+def test_import_loads_nothing_heavy():
+    """Load neither Warp, torch, NumPy nor MuJoCo with the package, nor with the list of its names."""
+    code = (
+        "import sys, bough; dir(bough); bough.__version__\n"
+        "heavy = {'warp', 'torch', 'numpy', 'mujoco', 'scipy', 'matplotlib', 'newton', 'pydantic'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, stdin=subprocess.DEVNULL)
+
+
+def test_input_errors_and_cases_need_no_warp():
+    """Read and refuse a case without Warp or torch: what is quick to say is said quickly."""
+    code = (
+        "import sys, bough\n"
+        "try:\n    bough.load_case('nowhere')\nexcept bough.InputError as error:\n    assert 'nowhere' in str(error)\n"
+        "assert not {'warp', 'torch'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, stdin=subprocess.DEVNULL)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_name_is_there_and_documented(name):
+    """Find every public name, with a docstring, the same object each time."""
+    assert getattr(bough, name).__doc__
+    assert getattr(bough, name) is getattr(bough, name)
+
+
+def test_other_names_are_missing():
+    """Raise what Python raises for a name that is not there."""
+    with pytest.raises(AttributeError, match="no attribute 'grow_forrest'"):
+        _ = bough.grow_forrest
+
+
+def test_page_lists_exactly_the_public_names():
+    """List each public name on the API page, and no other."""
+    listed = re.findall(r"^::: bough\.(\S+)$", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == NAMES
