@@ -54,7 +54,7 @@ LONG = {
     "learn/samplers/test_samplers.py::test_moments_of_a_normal[sghmc-0.8-5]": _CHAINS,
     "learn/samplers/test_svgd.py::test_modes_keep_their_mass[0.3": "modes of other masses; make test keeps two",
     "learn/samplers/test_svgd.py::test_modes_get_their_mass_from_a_broad_start[0.3": "modes of other masses",
-    "learn/thesis/test_chapter3.py::test_command_writes_everything": "the whole chapter, small; its parts are tested apart",
+    "learn/thesis/test_chapter3.py::test_command_writes_everything": "the whole chapter; its parts are tested apart",
     "sim/arms/test_arm_effects.py::test_out_of_reach_the_step_is_the_plain_one[1]": _LAWS,
     "sim/arms/test_arm_effects.py::test_a_push_settles_at_the_force_of_the_cubic_spring": _LAWS,
     "sim/arms/test_arm_effects.py::test_a_branch_that_yields_stays_bent": _LAWS,

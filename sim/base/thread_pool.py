@@ -31,7 +31,7 @@ def recorded(kernel: Any, dim: Any, inputs: Sequence[Any], device: Any, block: i
         device: Warp device.
         block: Threads of a block; None takes Warp's default.
     """
-    size = {} if block is None else {"block_dim": block}
+    size: dict[str, Any] = {} if block is None else {"block_dim": block}
     return wp.launch(kernel, dim=dim, inputs=list(inputs), device=device, record_cmd=True, **size)
 
 
