@@ -3,9 +3,9 @@
     python tests/same_bits.py BEFORE AFTER [--out DIR]
 
 BEFORE and AFTER are checkouts of the repository. A fixed set of commands runs in each (forests, trajectories in both
-precisions, hidden cases, posteriors, verdicts, a training and its evaluation; some five minutes per checkout); then
-each number in every .npz, .json, .csv, .yaml and .xml file is compared. Prints a line for each file that differs and ends
-with exit code 1 if there is one. What tells the time or the machine is left out (`PASSING`).
+precisions, hidden cases, posteriors, verdicts, a training and its evaluation; some five minutes per checkout). Then
+each number in every .npz, .json, .csv, .yaml and .xml file is compared. Prints a line for each file that differs and
+ends with exit code 1 if there is one. What tells the time or the machine is left out (`PASSING`).
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from ...sim.base.errors import InputError
-from ..runs.folder import CONFIG, MODEL, RunFolder, replace_text
+from ..runs.folder import CONFIG, RunFolder, replace_text
 from ..runs.threads import one_thread
 from ..tasks.registry import TaskRegistry, settings_from
 from ..tasks.task import METRICS, Task, unseen_seed
@@ -62,8 +62,8 @@ class TrainedPolicy:
         CheckpointFolder(self.checkpoint).check(task.name, task.version)
         try:
             return policy_of(self.state, self.ppo, task)
-        except (RuntimeError, KeyError) as error:
-            first = str(error).splitlines()[0]
+        except (RuntimeError, KeyError, TypeError, AttributeError) as error:
+            first = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(self.checkpoint, "", f"a network that does not fit ({first})", "this task's") from None
 
 
@@ -82,7 +82,7 @@ def read_policy(folder: RunFolder, registry: TaskRegistry) -> TrainedPolicy:
     done = newest.check(name, version)
     settings = settings_from(registry.settings, config["task"]["settings"], source)
     ppo = settings_from(PPOSettings, config["ppo"], source)
-    return TrainedPolicy(name, settings, ppo, newest.load(MODEL), done, newest.path)
+    return TrainedPolicy(name, settings, ppo, newest.load_model(), done, newest.path)
 
 
 def zero(task: Task) -> Policy:

@@ -102,18 +102,17 @@ class Trainer:
             InputError: It is damaged, or of another task or version; nothing was changed.
         """
         done = checkpoint.check(self.task.name, self.task.version)
-        model, own = checkpoint.load(MODEL), checkpoint.load(self._own)
+        model, own = checkpoint.load_model(), checkpoint.load(self._own)
         try:
             self.runner.go_on_from(model, done)
             self.task.restore(own["task"])
-        except (RuntimeError, KeyError, ValueError) as error:
+            torch.set_rng_state(own["random"])
+            if "random_cuda" in own:
+                torch.cuda.set_rng_state(own["random_cuda"], self.task.device)
+            self.done, self._steps = done, int(own["steps"])
+        except (RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError) as error:
             first = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(checkpoint.path, "", f"states that do not fit ({first})", "those of this task") from None
-        torch.set_rng_state(own["random"])
-        if "random_cuda" in own:
-            torch.cuda.set_rng_state(own["random_cuda"], self.task.device)
-        self.done = done
-        self._steps = int(own["steps"])
         if self.processes.first:
             self.folder.keep_metrics(done)
             self._note_length()

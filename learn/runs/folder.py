@@ -17,11 +17,10 @@ import torch
 from ...sim.base.errors import InputError
 from ...sim.base.files import read_text
 from .processes import Processes
+from .schema import CHECKPOINT_FORMAT, FORMAT, Manifest, RunRecord, check_finite, read_record
 
 CONFIG, METRICS_FILE, CHECKPOINTS, MANIFEST = "config.json", "metrics.csv", "checkpoints", "manifest.json"
 MODEL = "model"
-FORMAT, CHECKPOINT_FORMAT = "bough-run/1", "bough-checkpoint/1"
-_SETTINGS = {"task", "ppo", "seed", "device", "processes", "versions"}
 _A_RUN = "a folder that bough train wrote"
 
 
@@ -49,10 +48,7 @@ class RunFolder:
         file = self.path / CONFIG
         if not file.exists():
             raise InputError(self.path, "", f"no {CONFIG}" if self.path.is_dir() else "no such folder", _A_RUN)
-        found = _json(file, _A_RUN)
-        if found.get("format") != FORMAT or not set(found) >= _SETTINGS:
-            raise InputError(file, "format", str(found.get("format")), FORMAT)
-        return found
+        return read_record(file, RunRecord, _A_RUN).model_dump()
 
     def write_config(self, config: dict[str, Any]) -> None:
         """Write the settings."""
@@ -60,12 +56,16 @@ class RunFolder:
         replace_text(self.path / CONFIG, json.dumps({"format": FORMAT, **config}, indent=2) + "\n")
 
     def metrics(self) -> list[dict[str, float | None]]:
-        """Return a row an iteration; None where an iteration saw no episode end."""
+        """Return a row per iteration; None where an iteration saw no episode end.
+
+        Raises:
+            InputError: Names the line that is not one of numbers.
+        """
         file = self.path / METRICS_FILE
         if not file.exists():
             return []
-        with file.open(newline="") as lines:
-            return [{k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(lines)]
+        lines = csv.DictReader(io.StringIO(read_text(file)))
+        return [_numbers(file, number, row) for number, row in enumerate(lines, start=2)]
 
     def keep_metrics(self, done: int) -> None:
         """Forget the rows after a number of iterations, as if they had not been."""
@@ -153,14 +153,14 @@ class CheckpointFolder:
             InputError: It is damaged, or of another task or version.
         """
         file = self.path / MANIFEST
-        found = _json(file, "a checkpoint as bough train writes it")
-        if found.get("format") != CHECKPOINT_FORMAT:
-            raise InputError(file, "format", str(found.get("format")), CHECKPOINT_FORMAT)
-        if found.get("task") != task:
-            raise InputError(file, "task", str(found.get("task")), task)
-        if found.get("version") != version:
-            raise InputError(file, f"version of {task}", str(found.get("version")), f"{version}, this bough's")
-        return int(found["iteration"])
+        found = read_record(file, Manifest, "a checkpoint as bough train writes it")
+        if found.task != task:
+            raise InputError(file, "task", found.task, task)
+        if found.version != version:
+            raise InputError(file, f"version of {task}", str(found.version), f"{version}, this bough's")
+        if found.iteration != self.number:
+            raise InputError(file, "iteration", str(found.iteration), f"{self.number}, as its folder is called")
+        return found.iteration
 
     def load(self, name: str) -> dict[str, Any]:
         """Return a state: tensors, numbers and text, never anything that runs.
@@ -183,6 +183,18 @@ class CheckpointFolder:
         except Exception as error:  # torch names no common class for what it refuses to read
             first = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(file, "", f"not a checkpoint ({first[:80]})", "tensors, numbers and text") from None
+        if not isinstance(state, dict):
+            raise InputError(file, "", f"not a checkpoint ({type(state).__name__})", "named tensors, numbers and text")
+        return state
+
+    def load_model(self) -> dict[str, Any]:
+        """Return networks, normalisers and optimiser.
+
+        Raises:
+            InputError: See `load`; or one of their numbers is not finite.
+        """
+        state = self.load(MODEL)
+        check_finite(self.path / f"{MODEL}.pt", state)
         return state
 
 
@@ -216,11 +228,8 @@ def replace_text(file: Path, text: str) -> None:
     os.replace(part, file)
 
 
-def _json(file: Path, allowed: str) -> dict[str, Any]:
+def _numbers(file: Path, line: int, row: dict[str | Any, str | Any]) -> dict[str, float | None]:
     try:
-        found = json.loads(read_text(file))
-    except json.JSONDecodeError as error:
-        raise InputError(file, f"line {error.lineno}", "text that is not JSON", allowed) from None
-    if not isinstance(found, dict):
-        raise InputError(file, "", "JSON without fields", allowed)
-    return found
+        return {k: float(v) if v else None for k, v in row.items()}
+    except (TypeError, ValueError):
+        raise InputError(file, f"line {line}", "a row that is not one of numbers", "what bough train wrote") from None

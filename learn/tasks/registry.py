@@ -7,8 +7,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, get_type_hints
 
+from pydantic import TypeAdapter
+
 from ...sim.base.console import warn
 from ...sim.base.errors import InputError
+from ..runs.schema import validated
 from .task import Task, require_rsl_rl
 
 if TYPE_CHECKING:
@@ -113,15 +116,7 @@ def settings_from(kind: type, values: Mapping[str, Any], source: object) -> Any:
     if not needed <= set(values) <= names:
         odd = ", ".join(sorted((set(values) - names) | (needed - set(values))))
         raise InputError(str(source), odd, "settings of another version", "those of this version of bough")
-    hints = get_type_hints(kind)
-    return kind(**{name: _value(hints[name], value, source) for name, value in values.items()})
-
-
-def _value(hint: Any, value: Any, source: object) -> Any:
-    if isinstance(hint, type) and is_dataclass(hint) and isinstance(value, Mapping):
-        return settings_from(hint, value, source)
-    return _tuples(value)
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+    for name, hint in get_type_hints(kind).items():
+        if isinstance(hint, type) and is_dataclass(hint) and isinstance(values.get(name), Mapping):
+            settings_from(hint, values[name], source)
+    return validated(TypeAdapter(kind), values, source)

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -295,6 +296,28 @@ def with_code(folder) -> None:
     (folder / "model.sha256").write_text(hashlib.sha256((folder / "model.pt").read_bytes()).hexdigest())
 
 
+def kept(folder, name, state) -> None:
+    """Put another state in a state's place, with its digest."""
+    torch.save(state, folder / f"{name}.pt")
+    (folder / f"{name}.sha256").write_text(hashlib.sha256((folder / f"{name}.pt").read_bytes()).hexdigest())
+
+
+def noted(folder, **changes) -> None:
+    """Write other values into the manifest; ... leaves a key out."""
+    found = {**json.loads((folder / "manifest.json").read_text()), **changes}
+    (folder / "manifest.json").write_text(json.dumps({k: v for k, v in found.items() if v is not ...}))
+
+
+def config_of_run(folder) -> dict:
+    """Return the settings of the run that a checkpoint belongs to."""
+    return json.loads((folder.parents[1] / "config.json").read_text())
+
+
+def configured(folder, **changes) -> None:
+    """Write other values into the settings of the run."""
+    (folder.parents[1] / "config.json").write_text(json.dumps({**config_of_run(folder), **changes}))
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -307,6 +330,23 @@ def with_code(folder) -> None:
         (lambda c: (c / "manifest.json").write_text("[]"), "JSON without fields"),
         (lambda c: (c.parents[1] / "config.json").write_text("{}"), "bough-run/1"),
         (with_code, "not a checkpoint"),
+        (lambda c: kept(c, "model", [1.0, 2.0]), r"model\.pt: found not a checkpoint \(list\)"),
+        (lambda c: kept(c, "model", torch.zeros(3)), r"model\.pt: found not a checkpoint \(Tensor\)"),
+        (lambda c: kept(c, "model", {"actor_state_dict": {"x": torch.tensor([math.nan])}}), "not finite"),
+        (lambda c: kept(c, "model", {}), "states that do not fit"),
+        (lambda c: kept(c, "rank-0", {}), "states that do not fit"),
+        (lambda c: kept(c, "rank-0", {"task": 3, "random": None, "steps": 1}), "states that do not fit"),
+        (lambda c: noted(c, iteration=-5), r"manifest\.json: iteration: found -5; allowed: greater than or equal to 0"),
+        (lambda c: noted(c, iteration="6"), "iteration: found '6'; allowed: a valid integer"),
+        (lambda c: noted(c, iteration=None), "iteration: found null"),
+        (lambda c: noted(c, iteration=math.nan), "iteration: found"),
+        (lambda c: noted(c, iteration=4), "iteration: found 4; allowed: 6, as its folder is called"),
+        (lambda c: noted(c, iteration=...), "iteration: found no such key"),
+        (lambda c: (c / "manifest.json").write_text("[" * 100_000), "nested too deeply|not JSON"),
+        (lambda c: configured(c, seed="0"), r"config\.json: seed: found '0'; allowed: a valid integer"),
+        (lambda c: configured(c, task=[]), r"config\.json: task: found \[\]"),
+        (lambda c: configured(c, ppo={**config_of_run(c)["ppo"], "hidden": "wide"}), "hidden: found 'wide'"),
+        (lambda c: configured(c, versions=None), "versions: found null"),
     ],
 )
 def test_corrupt_checkpoints_are_refused_and_left_alone(whole, tmp_path, spoil, words):
