@@ -15,6 +15,7 @@ import tyro
 from ..sim.base.console import bar, shown, start_warp, warn
 from ..sim.base.errors import InputError
 from ..sim.base.files import output_folder
+from ..sim.base.host import check_memory
 from .exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -80,6 +81,10 @@ def _range(values: Collection[float], form: str) -> str:
     return low if low == high else f"{low} to {high}"
 
 
+_LINK_BYTES = 800
+"""Bytes of host memory a link of a tree that is kept until all are drawn."""
+
+
 def write_forest(options: Forest) -> list[Tree]:
     """Grow and write a forest, whole or not at all; return its trees.
 
@@ -95,6 +100,9 @@ def write_forest(options: Forest) -> list[Tree]:
         with bar("growing trees", options.count) as advance:
             for i in range(options.count):
                 tree, drawn = grow_one(i)
+                if i == 0:
+                    what = f"{options.count} trees of {tree.num_links} links"
+                    check_memory("--count", what, float(options.count * tree.num_links * _LINK_BYTES))
                 _write_tree(tree, folder / f"tree_{i:04d}", options.format)
                 trees.append(tree)
                 described.append(_described(tree, i, options) | drawn)

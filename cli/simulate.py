@@ -11,7 +11,7 @@ import tyro
 
 from ..sim.base.console import shown, start_warp, warn
 from ..sim.base.errors import InputError
-from ..sim.base.files import output_folder, read_text
+from ..sim.base.files import check_regular, output_folder, read_text
 from ..sim.engine.stepping import Stepping
 from ..sim.formats.load import load_mechanism
 from .exit_codes import ExitCode
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from ..sim.engine.trajectory import Trajectory
     from ..sim.formats.import_mjcf import Mechanism
 
+MOST_SUBSTEPS = 10_000
+"""Equal parts of a step: with more, a second at the default step takes hours, and smaller --dt is what is meant."""
 _ALLOWED = "an MJCF file (.xml, .mjcf), a URDF file (.urdf) or a case folder"
 
 
@@ -148,7 +150,7 @@ def check(options: Simulate) -> None:
 
     need(positive(options.seconds), "--seconds", options.seconds, "a time above 0")
     need(positive(options.dt), "--dt", options.dt, "a time above 0")
-    need(options.substeps >= 1, "--substeps", options.substeps, "1 or more")
+    need(1 <= options.substeps <= MOST_SUBSTEPS, "--substeps", options.substeps, f"1 to {MOST_SUBSTEPS}")
     need(options.worlds is None or options.worlds >= 1, "--worlds", options.worlds, "1 or more")
     need(0.0 <= options.bend <= math.pi, "--bend", options.bend, "0 to pi")
     need(options.seed >= 0, "--seed", options.seed, "0 or more")
@@ -247,7 +249,8 @@ def _npy_rows(path: Path) -> list[tuple[str, list[float]]]:
 
     allowed = "a NumPy array of real numbers, shape [nq] or [worlds, nq]"
     try:
-        values: Any = np.load(path, allow_pickle=False)
+        check_regular(path)
+        values: Any = np.load(path, mmap_mode="r", allow_pickle=False)  # mapped: a header may claim any size
     except FileNotFoundError:
         raise InputError(path, "", "no such file", "an existing file") from None
     except (OSError, EOFError, ValueError) as error:

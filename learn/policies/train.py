@@ -16,6 +16,7 @@ import torch
 
 from ...sim.base.console import warn
 from ...sim.base.errors import InputError
+from ...sim.base.files import check_output
 from ...sim.base.host import describe
 from ...version import __version__
 from ..runs.folder import MODEL, CheckpointFolder, RunFolder
@@ -179,8 +180,7 @@ def train(
     plan.check()
     registry.check_name(plan.task)
     folder, processes = RunFolder(out), Processes.of_torchrun()
-    if out.exists() and not out.is_dir():
-        raise InputError(out, "--out", "a file", "a folder, or a path where one can be made")
+    check_output(out)
     if folder.exists and not resume:
         raise InputError(out, "--out", "a run", "--resume to go on with it, or another folder")
     processes.connect(plan.device)

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ...sim.base.host import check_memory
 from .settings import TaskSettings, check_name
 from .task import require_rsl_rl
 
 if TYPE_CHECKING:
     from .powerline import Powerline
+
+
+WORLD_BYTES = 100_000
+"""Bytes of memory a world takes at least: 6144 of preset gpu took 145 kB each."""
 
 
 def make_task(
@@ -32,6 +37,15 @@ def make_task(
     settings = settings or TaskSettings()
     settings.check()
     require_rsl_rl()
+    _check_memory(num_envs, device)
     from .powerline import Powerline
 
     return Powerline(name, settings, num_envs=num_envs, seed=seed, device=device, test=test)
+
+
+def _check_memory(num_envs: int, device: str) -> None:
+    import warp as wp
+
+    found = wp.get_device(device)
+    there = found.total_memory if found.is_cuda else None
+    check_memory("--num-envs", f"{num_envs} worlds", float(num_envs) * WORLD_BYTES, there)

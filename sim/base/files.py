@@ -1,15 +1,20 @@
-"""Writing results whole or not at all."""
+"""Reading what may be anything, and writing results whole or not at all."""
 
 from __future__ import annotations
 
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from .errors import InputError
+
+#: Largest text file that is read: ten hours of a recording at 1 kHz have a quarter of it.
+TEXT_LIMIT = 1 << 30
+_WORK = ".bough-"
 
 
 @contextmanager
@@ -23,12 +28,9 @@ def output_folder(out: str | Path) -> Iterator[Path]:
         InputError: ``out`` is a file, or cannot be created or written.
     """
     target = Path(out)
-    if target.exists() and not target.is_dir():
-        raise InputError(target, "--out", "a file", "a folder, or a path where one can be made")
-    parent = _existing_parent(target)
-    if not os.access(parent, os.W_OK | os.X_OK) or (target.is_dir() and not os.access(target, os.W_OK | os.X_OK)):
-        raise InputError(target, "--out", "a place without permission to write", "a folder that can be written")
-    work = Path(tempfile.mkdtemp(prefix=".bough-", dir=parent))
+    parent = check_output(target)
+    _clear_dead(parent)
+    work = Path(tempfile.mkdtemp(prefix=f"{_WORK}{os.getpid()}-", dir=parent))
     try:
         yield work
         work.chmod(0o755)
@@ -37,6 +39,39 @@ def output_folder(out: str | Path) -> Iterator[Path]:
             _move(item, target / item.name)
     finally:
         shutil.rmtree(work, ignore_errors=True)
+
+
+def check_output(target: Path) -> Path:
+    """Return the folder that is there already in which, or below which, an output folder will be.
+
+    Raises:
+        InputError: ``target`` is a file or below one, or cannot be created or written.
+    """
+    parent = _existing_parent(target)
+    if not parent.is_dir() or (target.exists() and not target.is_dir()):
+        found = "a file" if target.exists() else f"a path below the file {parent}"
+        raise InputError(target, "--out", found, "a folder, or a path where one can be made")
+    if not os.access(parent, os.W_OK | os.X_OK) or (target.is_dir() and not os.access(target, os.W_OK | os.X_OK)):
+        raise InputError(target, "--out", "a place without permission to write", "a folder that can be written")
+    return parent
+
+
+def _clear_dead(parent: Path) -> None:
+    """Remove what killed commands have left: work folders of processes of this user that no longer live."""
+    for left in parent.glob(f"{_WORK}[0-9]*-*"):
+        number = left.name.removeprefix(_WORK).partition("-")[0]
+        if number.isdigit() and left.is_dir() and not _lives(int(number)):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _lives(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 def _existing_parent(path: Path) -> Path:
@@ -52,20 +87,46 @@ def _move(item: Path, destination: Path) -> None:
     os.replace(item, destination)
 
 
-def read_text(path: str | Path) -> str:
-    """Read a UTF-8 text file.
+def check_regular(file: Path, limit: int = TEXT_LIMIT) -> None:
+    """Check that a file is one, and no larger than ``limit`` bytes, before any of it is read.
 
     Raises:
-        InputError: The file is missing, a folder, unreadable or not text.
+        InputError: It is a device or a pipe, which may never end, or too large. What is missing is left to who reads.
+    """
+    try:
+        status = file.stat()
+    except (OSError, ValueError):
+        return
+    if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
+        raise InputError(file, "", "a device or a pipe", "a file")
+    if stat.S_ISREG(status.st_mode) and status.st_size > limit:
+        raise InputError(file, "", f"{status.st_size / 2**20:.0f} MiB", f"{limit / 2**20:.0f} MiB at most")
+
+
+def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
+    """Read a UTF-8 text file of at most ``limit`` bytes.
+
+    Raises:
+        InputError: The file is missing, a folder, a device or a pipe, too large, unreadable or not text.
     """
     file = Path(path)
+    check_regular(file, limit)
     try:
         return file.read_text(encoding="utf-8")
+    except ValueError as e:  # a NUL in the name, or bytes that are no text
+        if isinstance(e, UnicodeDecodeError):
+            raise InputError(file, f"byte {e.start}", "bytes that are not UTF-8 text", "a text file") from None
+        raise InputError(repr(str(file)), "", "a name with a NUL", "a file's name") from None
     except FileNotFoundError:
         raise InputError(file, "", "no such file", "an existing file") from None
     except IsADirectoryError:
         raise InputError(file, "", "a folder", "a file") from None
     except PermissionError:
         raise InputError(file, "", "a file without permission to read", "a readable file") from None
-    except UnicodeDecodeError as e:
-        raise InputError(file, f"byte {e.start}", "bytes that are not UTF-8 text", "a text file") from None
+    except OSError as e:  # a name that is too long, links that lead in a circle
+        raise InputError(_shortened(file), "", str(e.strerror).lower(), "a readable file") from None
+
+
+def _shortened(file: Path) -> str:
+    name = str(file)
+    return name if len(name) <= 200 else f"{name[:80]}...{name[-80:]}"

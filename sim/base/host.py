@@ -8,6 +8,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from .errors import InputError
+
 
 @lru_cache(maxsize=1)
 def cpu_flags() -> frozenset[str]:
@@ -38,6 +40,22 @@ def lane_width(device: Any, precision: int, num_worlds: int) -> int:
 def num_threads() -> int:
     """Return the CPU cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def memory_bytes() -> int:
+    """Return the bytes of memory that the machine has."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def check_memory(place: str, what: str, needed: float, there: int | None = None) -> None:
+    """Raise `InputError` where ``what`` (of options named ``place``) needs more bytes than are there.
+
+    Without ``there`` that is the machine's memory.
+    """
+    there = memory_bytes() if there is None else there
+    if not needed <= there:
+        found, allowed = f"{what}, about {needed / 2**30:.3g} GiB", f"what fits into {there / 2**30:.1f} GiB"
+        raise InputError(place, "", found, allowed)
 
 
 def describe() -> dict[str, str]:

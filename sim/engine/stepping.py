@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 from ..base.errors import InputError
+from ..base.host import check_memory
 
 _WORLD_BYTES = 3000  # of host memory a link while its model is built (2835 measured with 4000 trees of 17 links)
 
@@ -31,8 +32,10 @@ class Stepping:
         """Return the number of steps in a time, round(seconds / dt).
 
         Raises:
-            InputError: It is zero.
+            InputError: It is zero or beyond all numbers.
         """
+        if not math.isfinite(seconds / self.dt):
+            raise InputError("--seconds", "", f"{seconds:g} s in steps of {self.dt:g} s", "a finite number of steps")
         steps = round(seconds / self.dt)
         if steps < 1:
             raise InputError("--dt", "", f"{self.dt:g} s", f"a step no longer than the {seconds:g} s to be simulated")
@@ -41,8 +44,5 @@ class Stepping:
     def check_memory(self, steps: int, worlds: int, links: int) -> None:
         """Raise `InputError` if the worlds and their trajectory cannot fit into the machine's memory."""
         trajectory = 7 * (self.precision // 8) * (steps + 1) * worlds * links
-        needed = trajectory + _WORLD_BYTES * worlds * links
-        there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        if needed > there:
-            found = f"{worlds} worlds of {links} links at {steps + 1} times, about {needed / 2**30:.1f} GiB"
-            raise InputError("--worlds, --seconds, --dt", "", found, f"what fits into {there / 2**30:.1f} GiB")
+        what = f"{worlds} worlds of {links} links at {steps + 1:.6g} times"
+        check_memory("--worlds, --seconds, --dt", what, float(trajectory + _WORLD_BYTES * worlds * links))

@@ -119,6 +119,11 @@ def test_faulty_lsystems(bough, tmp_path, text, words):
         (("--seconds", "nan"), ("--seconds",)),
         (("--device", "tpu"), ("--device", "tpu", "cpu")),
         (("--worlds", "100000000"), ("100000000 worlds", "GiB")),
+        (("--seconds", "1e308"), ("--seconds", "1e+308 s", "finite number of steps")),
+        (("--seconds", "1e12"), ("--seconds", "GiB")),
+        (("--substeps", "1000000000000"), ("--substeps", "1 to 10000")),
+        (("--qpos", "vast.npy"), ("vast.npy", "no array")),
+        (("--qpos", "/dev/zero"), ("/dev/zero", "a device or a pipe")),
     ],
 )
 def test_starts_and_options_that_do_not_fit(bough, tmp_path, options, words):
@@ -129,10 +134,29 @@ def test_starts_and_options_that_do_not_fit(bough, tmp_path, options, words):
     (tmp_path / "zero.txt").write_text("0 0 0 0")
     (tmp_path / "rows.txt").write_text("1 0 0 0\n1 0 0 0\n")
     np.save(tmp_path / "nan.npy", [1.0, 0.0, 0.0, np.nan])
+    with (tmp_path / "vast.npy").open("wb") as file:  # a header that claims 8 TB
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 1)})
     done = bough("simulate", "ball.xml", *options, "--out", "out")
     # the geom's contacts are left out with a warning before a start is looked at
     kept = "".join(line + "\n" for line in done.err.splitlines() if "warning" not in line)
     type(done)(done.code, done.out, kept).refused(*words)
+
+
+@pytest.mark.parametrize("name", ["/dev/zero", "pipe.xml"])
+def test_mechanisms_that_never_end(bough, tmp_path, name):
+    """Refuse a device and a pipe in a file's place instead of reading for ever."""
+    os.mkfifo(tmp_path / "pipe.xml")
+    (tmp_path / "link.xml").symlink_to(name)
+    bough("simulate", "link.xml", "--out", "out").refused("link.xml", "a device or a pipe")
+
+
+def test_sizes_beyond_memory(bough):
+    """Say what a billion trees or worlds would take instead of taking it."""
+    none = ("--picture-width", 0, "--out", "out")
+    bough("forest", "--count", 10**9, *none).refused("--count", "1000000000 trees", "GiB")
+    bough("train", "powerline", "--num-envs", 10**9, "--device", "cpu", "--out", "out").refused(
+        "1000000000 worlds", "GiB"
+    )
 
 
 def as_nobody_special():
