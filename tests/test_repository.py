@@ -146,7 +146,7 @@ def test_examples_of_the_pages_run(block, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("page", [pytest.param(p, id=p.name) for p in PAGES])
+@pytest.mark.parametrize("page", [pytest.param(p, id=name_of(p)) for p in PAGES])
 def test_links_of_the_pages_lead_somewhere(page):
     """Find the file and the heading behind every link that stays in the repository."""
     for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page.read_text()):
@@ -166,7 +166,7 @@ def test_site_lists_every_page():
 
 
 @pytest.mark.parametrize(
-    "page", [pytest.param(p, id=p.name) for p in [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md"]]
+    "page", [pytest.param(p, id=name_of(p)) for p in [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md"]]
 )
 def test_paths_of_the_pages_exist(page):
     """Find every source file that a page names in the repository."""
