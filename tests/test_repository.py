@@ -174,6 +174,20 @@ def test_paths_of_the_pages_exist(page):
     assert [path for path in named if not (ROOT / path).exists()] == []
 
 
+def test_names_of_the_pages_exist():
+    """Find each ``bough.room.module.name`` that a page names: the module's file, and the name in it."""
+    for page in [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md"]:
+        for dotted in re.findall(r"`bough((?:\.\w+)+)", page.read_text()):
+            parts = dotted[1:].split(".")
+            found = [n for n in range(1, len(parts) + 1) if (ROOT.joinpath(*parts[:n])).with_suffix(".py").exists()]
+            path = ROOT.joinpath(*parts[: found[-1]]).with_suffix(".py") if found else None
+            if path is None:  # a room, or a name that its __init__ offers
+                rooms = [n for n in range(len(parts), -1, -1) if ROOT.joinpath(*parts[:n], "__init__.py").exists()]
+                found, path = rooms[:1], ROOT.joinpath(*parts[: rooms[0]], "__init__.py")
+            for name in parts[found[-1] :]:
+                assert re.search(rf"\b{name}\b", path.read_text()), f"{name_of(page)}: bough{dotted}"
+
+
 def test_walks_of_the_architecture_name_what_is_there():
     """Find each stop's name in its file; let no walk go back up the rooms, but for the leg that is said to go up."""
     page = (ROOT / "docs" / "architecture.md").read_text()
