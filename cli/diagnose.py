@@ -1,4 +1,4 @@
-"""``bough diagnose``: what the model of a measured case lacks; ``bough exam``: how often that answer is right."""
+"""``bough diagnose``: what the model of a measured case lacks; ``bough exam``: how often the verdict is right."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .exit_codes import ExitCode
 
 @dataclass(frozen=True)
 class Diagnose:
-    """Find where simulation and measurement disagree, name the missing effect, add it, show the gap shrink.
+    """Find where simulation and measurement disagree, name the missing effect, add it, show the held-out error shrink.
 
     Writes verdict.json, model.yaml (branches), figures and report.html. Exit code 0: done, whatever the verdict; 2: bad
     input, nothing written.
 
     Attributes:
-        case: Case folder: meta.yaml and one CSV a trajectory.
+        case: Case folder: meta.yaml and one CSV file per trajectory.
         out: Folder to write to.
-        effects: Names that may be tried; none given tries all that the case can show.
+        effects: Effects that may be tried; all that the case can show if not given.
         tolerance: Change of the motion, as a share of its rms, below which a missing effect is of no interest.
         max_effects: Most effects that are named together.
         seed: Seed of everything random.
@@ -70,15 +70,15 @@ class Diagnose:
 
 @dataclass(frozen=True)
 class Exam:
-    """Hide effects in branches of another simulator, diagnose them, grade the verdicts, draw the confusion matrix.
+    """Hide effects in branches of another simulator, diagnose them, score the verdicts, draw the confusion matrix.
 
-    Writes results.jsonl (a line a case, appended: the same command goes on where it was stopped), exam.json,
+    Writes results.jsonl (one line per case, appended: the same command continues a stopped exam), exam.json,
     confusion.png and exam.md.
 
     Attributes:
         out: Folder to write to.
-        cases: Number of cases: nothing hidden, one effect, two, or one that is on no list, as 3 : 3 : 1 : 1.
-        noise: Noise of displacement and velocity as a share of their rms; force has half of it.
+        cases: Number of cases: nothing hidden, one effect, two, or one that the registry does not have, 3 : 3 : 1 : 1.
+        noise: Noise of displacement and velocity as a share of their rms; the force has half of it.
         seed: Seed of the cases.
         jobs: Cases that run at the same time.
     """

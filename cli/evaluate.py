@@ -1,4 +1,4 @@
-"""``bough evaluate``: how well a trained policy does in worlds it has never seen."""
+"""``bough evaluate``: how well a trained policy does in unseen worlds."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Evaluate:
 
     Attributes:
         run_folder: Folder that bough train wrote.
-        sets: Test sets; the spread is over them.
-        worlds: Worlds of each set, one episode in each.
-        seed: Seed of the sets; whatever it is, no world of training is among them.
+        sets: Test sets; the standard deviation is over them.
+        worlds: Worlds per set, one episode in each.
+        seed: Seed of the sets; no world of training is ever among them.
         device: cpu, cuda or cuda:N; a GPU if there is one.
-        baselines: Policies to put beside it in the same worlds; the option without a name leaves them out.
+        baselines: Policies to compare with in the same worlds; the option without a name leaves them out.
     """
 
     run_folder: tyro.conf.Positional[Path]

@@ -29,9 +29,9 @@ _ASPECT = 9 / 16
 
 @dataclass(frozen=True)
 class Forest:
-    """Grow trees by an L-system and write one file a tree, forest.json and a picture, forest.png.
+    """Grow trees by an L-system and write one file per tree, forest.json and a picture, forest.png.
 
-    Trees are drawn as they grow; springs are relaxed there, so under gravity they sag a little (2 to 15 mm at order 2).
+    Springs are relaxed in the pose that is drawn, so under gravity the trees sag a little (2 to 15 mm at order 2).
 
     Attributes:
         out: Folder to write to.
@@ -39,15 +39,15 @@ class Forest:
         lsystem: L-system file (YAML) to grow instead of a species.
         count: Number of trees.
         order: How often the productions are applied; 2 for a species, else what the L-system file says.
-        noise: Standard deviation of every parameter, as a fraction of it.
+        noise: Standard deviation of every parameter, as a share of it.
         stiffness: Model of the springs: by branching order (rudimentary, if nothing is given), or E pi r^4 / 2 l of a
             beam.
         posterior: posterior.npz of an identified branch, instead of a stiffness model: each tree draws one of its
             particles.
         model: model.yaml of a branch with lengths and radii, such as bough diagnose writes, instead of a stiffness
-            model: every tree is of its wood. Effects are no part of a tree's file.
-        format: Kinds of file to write for every tree: tree_0000.xml, .urdf, .glb, .usda.
-        seed: Seed of the noise; tree i depends on it and on i alone.
+            model: every tree is of its wood. Its effects are left out, since tree files cannot hold them.
+        format: File formats to write for every tree: tree_0000.xml, .urdf, .glb, .usda.
+        seed: Seed of the noise; tree i depends on the seed and on i alone.
         picture_width: Width of forest.png [pixels]; 0 draws none.
     """
 

@@ -1,4 +1,4 @@
-"""``bough hide``: a measured case with effects hidden in it, by a simulator that is not bough's."""
+"""``bough hide``: a case with known hidden effects, recorded in another simulator."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from .exit_codes import ExitCode
 
 @dataclass(frozen=True)
 class Hide:
-    """Make a case with effects hidden in it, recorded by MuJoCo; write the folder and OUT_answer.json beside it.
+    """Record a case with hidden effects in MuJoCo; write the folder and, beside it, the true values: OUT_answer.json.
 
     Needs MuJoCo: pip install 'bough[oracle]'. Exit code 0: done; 2: bad input, nothing written.
 
     Attributes:
         out: Case folder to write.
-        effects: Names of effects, as in a verdict; none for a case that hides nothing.
-        outside: An effect that is on no list, beside them.
+        effects: Effects to hide, by the names of a verdict; nothing is hidden if not given.
+        outside: An effect that the registry does not have, beside them.
         joint: Joint that they act at, 0 nearest the base; drawn for each if not given.
         segments: Segments of the branch.
-        noise: Noise on displacement and velocity as a fraction of their rms; the force has half of it.
+        noise: Noise of displacement and velocity as a share of their rms; the force has half of it.
         rate: Sampling rate [Hz]; drawn from 20, 25 and 40 if not given.
-        samples: Samples a recording.
+        samples: Samples per recording.
         size: Change of displacement that each effect causes, over its rms; drawn from 0.05 to 0.3 if not given.
         seed: Seed of everything random.
     """

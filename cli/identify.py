@@ -19,16 +19,16 @@ class Identify:
     Exit code 0: done; 2: bad input, nothing written; 3: written, but the sampler did not converge.
 
     Attributes:
-        case: Case folder: meta.yaml and one CSV a trajectory.
+        case: Case folder: meta.yaml and one CSV file per trajectory.
         out: Folder to write to.
         method: Sampler: Stein variational gradient descent, the same with the inequality prior, Metropolis-Hastings,
-            stochastic gradient Langevin or Hamiltonian dynamics, or the emcee package's ensemble as a referee.
-        prior: What is known beforehand: inequality (child below parent), geometry (what grown trees say), lognormal, or
+            stochastic gradient Langevin or Hamiltonian dynamics, or the emcee package's ensemble as a reference.
+        prior: What is known beforehand: inequality (child below parent), geometry (as in grown trees), lognormal, or
             the posterior.npz of an earlier case. Several multiply; the box always holds.
         particles: Particles of SVGD, chains of the other samplers.
         iterations: Updates of the sampler.
         joints: Joints of a branch.
-        infer: What is unknown of a branch; the rest keeps its typical value.
+        infer: What is inferred of a branch; the rest keeps its typical value.
         shared: Kinds of unknowns that have one number for all joints.
         model: model.yaml of this branch, such as bough diagnose writes: its effects act with the parameters given there
             while springs and dampers are inferred.

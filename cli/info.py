@@ -1,4 +1,4 @@
-"""``bough info``: what is installed, what the machine offers, and whether a tree stands."""
+"""``bough info``: what is installed, what the machine offers, and a self-check."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Info:
     """Print versions, devices, vector lanes, cores, the kernel cache and extras, and let one small tree sway."""
 
     def run(self) -> int:
-        """Print one line a fact; return 0, or 1 where the tree did not stay finite."""
+        """Print one line per fact; return 0, or 1 where the tree did not stay finite."""
         start_warp()
         for name, value in facts():
             print(f"{name:<14}{value}")
@@ -43,7 +43,7 @@ def facts() -> Iterator[tuple[str, str]]:
     yield "packages", ", ".join(f"{name} {_version(name)}" for name in _PACKAGES)
     yield "system", host["system"]
     yield "processor", f"{host['cpu']}, {host['cores']} cores for this process"
-    yield "lanes", f"{host['lanes']} worlds a CPU thread (float32); 1 in float64"
+    yield "lanes", f"{host['lanes']} worlds per CPU thread (float32); 1 in float64"
     yield "devices", ", ".join(f"{d.alias} ({d.name})" if d.is_cuda else d.alias for d in wp.get_devices())
     yield "kernel cache", str(wp.config.kernel_cache_dir)
     have = [name for name, module in _EXTRAS.items() if find_spec(module) is not None]
@@ -73,4 +73,4 @@ def self_check(steps: int = 20) -> tuple[bool, str]:
     position, _ = simulator.observe()
     well = not simulator.state.faults() and bool(position.isfinite().all())
     verdict = f"{'passed' if well else 'FAILED'}: {position.shape[1]} links, {steps + 1} steps"
-    return well, f"{verdict} on {simulator.model.device}, {1e6 * took / steps:.0f} us a step"
+    return well, f"{verdict} on {simulator.model.device}, {1e6 * took / steps:.0f} us per step"

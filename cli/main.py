@@ -1,7 +1,7 @@
 """The command line: flat commands over the rooms, one line on what was written where.
 
-Exit codes: 0 done; 1 the machine failed (a full disk); 2 bad input, one line on stderr; 3 done, but every world left
-the finite or a sampler did not converge; 130 interrupted.
+Exit codes: 0 done; 1 the machine failed (a full disk); 2 bad input, one line on stderr; 3 done, but every world
+diverged or a sampler did not converge; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .reproduce import Reproduce
 from .simulate import Simulate
 from .train import Train
 
-_DESCRIPTION = """Thousands of different trees in parallel, and the springs of a real one from a measurement.
+_DESCRIPTION = """Simulate thousands of different trees in parallel; infer the springs of a real one.
 
 Units are SI (m, kg, s, rad, N), quaternions w x y z, z is up. Same command, same seed: same files.
 `bough COMMAND --help` explains a command, `bough --version` prints the version."""

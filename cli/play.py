@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 class Play:
     """Film one episode of a policy in an unseen world with all contacts on, or watch it live.
 
-    Writes film.gif, or the folder frames with a PNG each. Exit code 0: done; 2: bad input, nothing written.
+    Writes film.gif, or the folder frames with one PNG per picture. Exit code 0: done; 2: bad input, nothing written.
     With --viewer nothing is written: a window shows episode after episode until it is closed, and needs a screen and
     pip install 'bough[viewer]'.
 
     Attributes:
-        policy: Folder that bough train wrote, or zero (the arm is let be) or random (actions drawn evenly).
+        policy: Folder that bough train wrote, or zero (no action) or random (actions drawn uniformly).
         out: Folder to write to; none with --viewer.
         task: Task of zero and random; a run has its own.
         seed: Seed of the world; bough evaluate's first world of the first set is that of seed 0.

@@ -18,10 +18,10 @@ from .exit_codes import ExitCode
 
 @dataclass(frozen=True)
 class Chapter3:
-    """Make tables 3.1 and A.1 and figures 3.5 to 3.9 of the thesis in simulation, beside its own figures.
+    """Make tables 3.1 and A.1 and figures 3.5 to 3.9 of the thesis in simulation, beside the thesis's numbers.
 
-    Writes report.html, tables.json and a PNG a figure. Exit code 0: done; 2: bad input, nothing written; 3: written,
-    but the run of table 3.1 did not converge.
+    Writes report.html, tables.json and one PNG per figure. Exit code 0: done; 2: bad input, nothing written; 3:
+    written, but the run of table 3.1 did not converge.
 
     Attributes:
         out: Folder to write to.
@@ -54,10 +54,11 @@ class Chapter3:
 
 @dataclass(frozen=True)
 class Chapter5:
-    """Make tables 5.2 and 5.3 and figure 5.4 of the thesis at the scale given, beside its own figures.
+    """Make tables 5.2 and 5.3 and figure 5.4 of the thesis at the scale given, beside the thesis's numbers.
 
     Trains and tests one policy after another, each in its own folder under runs, and writes report.html, tables.json
-    and a PNG a figure. Exit code 0: done; 2: bad input, nothing written; 3: a loss left the finite in a run, no report.
+    and one PNG per figure. Exit code 0: done; 2: bad input, nothing written; 3: a loss of a run is no longer finite,
+    no report.
 
     Attributes:
         out: Folder to write to; it must not hold such runs, unless with --resume.
@@ -68,7 +69,7 @@ class Chapter5:
         noise_levels: Greatest deviations d_max of the points in the runs of figure 5.4 [m]; the thesis takes 0.005 to
             0.04. Runs that table 5.2 has as well, at 0.005 and 0.02, are shared.
         sets: Test sets of table 5.2; figure 5.4 takes the first.
-        worlds: Worlds of each test set.
+        worlds: Worlds per test set.
         seed: Seed of everything random.
         device: cpu, cuda or cuda:N; a GPU if there is one.
         resume: Go on with runs that were killed or are to be longer, and keep those that are done.
@@ -116,7 +117,7 @@ class Chapter5:
 
 @dataclass(frozen=True)
 class Reproduce:
-    """Make a chapter's tables and figures again, beside the thesis's own.
+    """Make a chapter's tables and figures again, beside the thesis's numbers.
 
     Attributes:
         chapter: What to reproduce.

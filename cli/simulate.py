@@ -1,4 +1,4 @@
-"""``bough simulate``: let the tree of a file move, and note where its bodies are."""
+"""``bough simulate``: simulate the tree of a file and record where its bodies are."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ class Simulate:
 
     Attributes:
         source: MJCF file (.xml), URDF file (.urdf) or case folder. A case's branch has nominal springs, those of beams
-            of green wood, and one world for each recording.
+            of green wood, and one world per recording.
         out: Folder to write to.
         model: model.yaml with the springs, dampers and effects of a case's branch, instead of nominal springs.
-        seconds: How long; 2 s for a file, as long as the recordings for a case.
+        seconds: Simulated time; 2 s for a file, the length of the recordings for a case.
         dt: Step [s]; there are round(seconds / dt) of them.
-        substeps: Equal parts that every step is taken in.
-        qpos: Where to start: joint coordinates in MuJoCo's order, as text (a row a world, or one for all) or .npy.
-        bend: Start with every joint turned at random, by this standard deviation [rad]; each world in its own way.
+        substeps: Substeps per step.
+        qpos: Start pose: joint coordinates in MuJoCo's order, as text (one row per world, or one for all) or .npy.
+        bend: Start with every joint turned at random, by this standard deviation [rad], in each world anew.
         worlds: Number of copies of the tree; as many as the rows of --qpos, or 1.
-        precision: Bits of a number: 64 to compare with MuJoCo, 32 for speed.
+        precision: Bits per number: 64 to compare with MuJoCo, 32 for speed.
         device: Warp device, such as cpu or cuda:0; Warp's first choice if not given.
         seed: Seed of --bend.
         effect: An effect that acts in all worlds alike, NAME:PARAMETER=VALUE[,PARAMETER=VALUE...] in SI units, such as
@@ -201,13 +201,13 @@ def _bent(options: Simulate, mechanism: Mechanism) -> Array:
 
 
 def read_qpos(path: Path, width: int) -> Array:
-    """Read joint coordinates: ``.npy`` of shape [nq] or [W, nq], or text with a row a line (# starts a comment).
+    """Read joint coordinates: ``.npy`` of shape [nq] or [W, nq], or text with one row per line (# starts a comment).
 
-    Text may also hold one number a line, for one world.
+    Text may also hold one number per line, for one world.
 
     Args:
         path: The file.
-        width: Numbers a row, nq.
+        width: Numbers per row, nq.
 
     Returns:
         Shape [W, nq].
@@ -222,7 +222,9 @@ def read_qpos(path: Path, width: int) -> Array:
         rows = [("", [r[0] for _, r in rows])]
     for place, row in rows:
         if len(row) != width:
-            raise InputError(path, place, f"{len(row)} numbers", f"{width} (w x y z a ball joint, 1 a hinge or slide)")
+            raise InputError(
+                path, place, f"{len(row)} numbers", f"{width} (w x y z per ball joint, 1 per hinge or slide)"
+            )
         bad = [x for x in row if not math.isfinite(x)]
         if bad:
             raise InputError(path, place, str(bad[0]), "finite numbers")

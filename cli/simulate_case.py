@@ -10,7 +10,7 @@ from .simulate import Simulate, check, report
 
 
 def simulate_case(options: Simulate) -> int:
-    """Simulate one world a recording, write the trajectory and its figure, say so; return the exit code.
+    """Simulate one world per recording, write the trajectory and its figure, say so; return the exit code.
 
     Beside what a file's trajectory holds there is ``grasp_displacement`` [T, W, 3], the displacement of the grasp point
     [m].

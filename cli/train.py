@@ -1,4 +1,4 @@
-"""``bough train``: learn a policy for a task, on one device or many."""
+"""``bough train``: train a policy for a task, on one device or many."""
 
 from __future__ import annotations
 
@@ -22,18 +22,16 @@ if TYPE_CHECKING:
     from ..learn.runs.folder import RunFolder
     from ..learn.runs.processes import Processes
 
-#: Exit code of a run that lost the finite, and of one that was interrupted.
-
 
 @dataclass(frozen=True)
 class Train:
-    """Learn a policy with PPO; write config.json, metrics.csv, checkpoints, learning.png and report.html.
+    """Train a policy with PPO; write config.json, metrics.csv, checkpoints, learning.png and report.html.
 
-    Under torchrun every process simulates worlds of its own and all learn one policy. Exit code 0: done; 2: bad input,
-    nothing written; 3: a loss left the finite, the newest checkpoint is from before.
+    Under torchrun every process simulates worlds of its own and all train one policy. Exit code 0: done; 2: bad input,
+    nothing written; 3: a loss is no longer finite, the newest checkpoint is from before.
 
     Attributes:
-        task: What to learn: powerline, exposure or inspection.
+        task: Task: powerline, exposure or inspection.
         out: Folder of the run; it must not hold a run, unless with --resume.
         num_envs: Worlds in each process; the preset's if not given.
         iterations: Updates of the policy; the preset's if not given. With --resume it may be more than at first.
@@ -42,8 +40,8 @@ class Train:
         preset: Size of the run and of its steps; the device's own if not given.
         without: Observation groups left out, such as kme,touch.
         model: model.yaml of a branch with lengths and radii, such as bough diagnose writes: all trees are of its wood,
-            as those of bough forest --model. One with effects is refused.
-        resume: Go on with a run that was killed or is to be longer, with its own settings; begin where there is none.
+            as those of bough forest --model, and the effects that trees can have act in them.
+        resume: Continue a run that was killed or is to be longer, with its own settings; begin one if there is none.
     """
 
     task: tyro.conf.Positional[str]

@@ -27,7 +27,7 @@ MODULES = {str(p.relative_to(ROOT).with_suffix("")) for p in PACKAGE}
 #: The rooms of the package, each below those it may import from: the README's table.
 ORDER = re.findall(r"^\| \[`([a-z0-9/]+)/`\]\(\1\) \|", (ROOT / "README.md").read_text(), re.MULTILINE)
 SOURCES = PACKAGE + sorted(p for room in ("tests", "benchmarks") for p in (ROOT / room).rglob("*.py"))
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 EXAMPLES = [
     pytest.param(block, id=f"{page.name}-{i + 1}")
@@ -145,7 +145,7 @@ def test_examples_of_the_pages_run(block, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("page", [pytest.param(p, id=p.name) for p in PAGES])
+@pytest.mark.parametrize("page", [pytest.param(p, id=name_of(p)) for p in PAGES])
 def test_links_of_the_pages_lead_somewhere(page):
     """Find the file and the heading behind every link that stays in the repository."""
     for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page.read_text()):
@@ -160,8 +160,59 @@ def test_links_of_the_pages_lead_somewhere(page):
 
 def test_site_lists_every_page():
     """Name each page of ``docs`` in the site's navigation, and no other."""
-    listed = set(re.findall(r": (\w+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
-    assert listed == {p.name for p in (ROOT / "docs").glob("*.md")}
+    listed = set(re.findall(r": ([\w/]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
+    assert listed == {str(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(p, id=name_of(p)) for p in [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md"]]
+)
+def test_paths_of_the_pages_exist(page):
+    """Find every source file that a page names in the repository."""
+    named = re.findall(r"`((?:kernels|sim|perception|learn|cli|tests|benchmarks)/[\w/]+\.(?:py|j2))`", page.read_text())
+    assert [path for path in named if not (ROOT / path).exists()] == []
+
+
+def test_names_of_the_pages_exist():
+    """Find each ``bough.room.module.name`` that a page names: the module's file, and the name in it."""
+    for page in [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md"]:
+        for dotted in re.findall(r"`bough((?:\.\w+)+)", page.read_text()):
+            parts = dotted[1:].split(".")
+            found = [n for n in range(1, len(parts) + 1) if (ROOT.joinpath(*parts[:n])).with_suffix(".py").exists()]
+            path = ROOT.joinpath(*parts[: found[-1]]).with_suffix(".py") if found else None
+            if path is None:  # a room, or a name that its __init__ offers
+                rooms = [n for n in range(len(parts), -1, -1) if ROOT.joinpath(*parts[:n], "__init__.py").exists()]
+                found, path = rooms[:1], ROOT.joinpath(*parts[: rooms[0]], "__init__.py")
+            for name in parts[found[-1] :]:
+                assert re.search(rf"\b{name}\b", path.read_text()), f"{name_of(page)}: bough{dotted}"
+
+
+def test_walks_of_the_architecture_name_what_is_there():
+    """Find each stop's name in its file; let no walk go back up the rooms, but for the leg that is said to go up."""
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    walks = re.findall(r"^## (Walk [^\n]+)\n(.*?)(?=^## )", page, re.MULTILINE | re.DOTALL)
+    assert len(walks) == 3
+    for title, text in walks:
+        legs = [re.findall(r"^\| \d+ \| `([\w/.]+)` \| `([\w.]+)`", leg, re.MULTILINE) for leg in text.split("\n### ")]
+        assert 0 < sum(map(len, legs)) <= 10, title
+        for leg in legs:
+            for path, name in leg:
+                assert re.search(rf"\b{name.split('.')[-1]}\b", (ROOT / path).read_text()), f"{path} has no {name}"
+            order = [ORDER.index(room_of(path.removesuffix(".py"))) for path, _ in leg]
+            assert order in (sorted(order), sorted(order, reverse=True)), title
+
+
+def test_table_of_decisions_lists_every_record():
+    """List each dated record in the table of decisions, with its room and its status, and no other."""
+    listed = re.findall(r"^\| (\S+) \| \[(.+?)\]\((decisions/\w+\.md)#.+?\) \| `(.+?)` \| (\w+)", 
+                        (ROOT / "docs" / "decisions.md").read_text(), re.MULTILINE)  # fmt: skip
+    pages = sorted((ROOT / "docs" / "decisions").glob("*.md"))
+    pattern = r"^### (\d{4}-\d\d-\d\d): (.+)\n\n\*`(.+?)` · (holds|extended|superseded)\b"
+    records = [(d, title, f"decisions/{p.name}", room, status) for p in pages
+               for d, title, room, status in re.findall(pattern, p.read_text(), re.MULTILINE)]  # fmt: skip
+    assert sorted(listed) == sorted(records) and [row[0] for row in listed] == sorted(row[0] for row in listed)
+    assert len(records) == sum(p.read_text().count("\n### ") for p in pages)
+    assert all((ROOT / room).exists() for _, _, _, room, _ in records)
 
 
 # ---- the lines the house keeps -----------------------------------------------------------------------------------
