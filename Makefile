@@ -53,7 +53,7 @@ format: $(VENV)/installed-dev  ## mend what ruff can mend
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(VENV)/installed-test $(VENV)/installed-sysid  ## run the benchmarks, or NAMES="tree contact" (wants an idle machine)
+bench: $(VENV)/installed-test $(VENV)/installed-sysid  ## measure all, or NAMES="tree contact" (wants an idle machine)
 	$(BIN)/python benchmarks/run.py $(NAMES) $(if $(QUICK),--quick)
 
 tables: $(VENV)/installed-test  ## write the tables of README and docs from the newest results of the benchmarks

@@ -219,13 +219,8 @@ def compare(options: argparse.Namespace) -> list[Figure]:
 # ---- random scenes -------------------------------------------------------------------------------------------------
 
 
-def random_scenes(options: argparse.Namespace, worlds: int = 4096, steps: int = 1000) -> list[Figure]:
-    """Step random scenes under random actions; print what was lost, left out or deep.
-
-    Trees stand anywhere around the arm, line and ground are there, arms start anywhere: those that start without any
-    overlap are judged by their depth, all by being finite.
-    """
-    rng = np.random.default_rng(options.seed)
+def random_simulator(rng: np.random.Generator, worlds: int) -> tuple[ArmSimulator, np.ndarray]:
+    """Make random scenes; return them at their start, and which of them are without overlap there, shape [worlds]."""
     few = [contact_case.ternary(rng, order=int(rng.integers(2, 4))) for _ in range(64)]
     trees, q = [], []
     for w in range(worlds):
@@ -234,9 +229,8 @@ def random_scenes(options: argparse.Namespace, worlds: int = 4096, steps: int = 
         place[few[w % 64].parent < 0] = (far * np.cos(angle), far * np.sin(angle), rng.uniform(-0.2, 0.1))
         trees.append(few[w % 64].with_(position=place))
         q.append(np.r_[rng.uniform(-3, 3), rng.uniform(2.0, 4.6), rng.uniform(1.5, 4.7), rng.uniform(-3, 3, 3)])
-    sim = contact_case.simulator(
-        trees, q=np.array(q), width=host.simd_width(), contacts={"capacity": 64, "ground": -0.3}
-    )
+    room = {"capacity": 64, "ground": -0.3}
+    sim = contact_case.simulator(trees, q=np.array(q), width=host.simd_width(), contacts=room)
     angle = torch.as_tensor(rng.uniform(0, np.pi, worlds))
     along = torch.stack([angle.cos(), angle.sin(), torch.full_like(angle, 0.1)], dim=1).float()
     middle = torch.as_tensor(rng.uniform([-0.5, -0.5, 0.1], [0.5, 0.5, 1.1], (worlds, 3))).float()
@@ -246,6 +240,16 @@ def random_scenes(options: argparse.Namespace, worlds: int = 4096, steps: int = 
     sim.step()
     clear = sim.depth.numpy() == 0.0
     sim.reset()
+    return sim, clear
+
+
+def random_scenes(options: argparse.Namespace, worlds: int = 4096, steps: int = 1000) -> list[Figure]:
+    """Step random scenes under random actions; print what was lost, left out or deep.
+
+    Trees stand anywhere around the arm, line and ground are there, arms start anywhere: those that start without any
+    overlap are judged by their depth, all by being finite.
+    """
+    sim, clear = random_simulator(np.random.default_rng(options.seed), worlds)
     deepest, unsettled, busy = np.zeros(worlds), 0, 0
     limit = torch.as_tensor(jaco2().velocity_limit, dtype=torch.float32)
     generator = torch.Generator().manual_seed(options.seed)

@@ -13,7 +13,6 @@ import argparse
 import importlib.util
 import json
 import math
-import platform
 import sys
 import time
 import traceback
@@ -287,8 +286,7 @@ def plan(quick: bool) -> list[tuple[int, int, int, float]]:
 
 def machine(device: str) -> dict[str, Any]:
     """Describe processor, GPU and versions."""
-    found = {"device": str(wp.get_device(device).name), "python": platform.python_version(), "warp": wp.__version__}
-    found |= {"torch": torch.__version__, "numpy": np.__version__, "cpu": platform.processor() or platform.machine()}
+    found = {"device": str(wp.get_device(device).name), **measuring.versions(), **measuring.machine()}
     if "cuda" in device:
         d = wp.get_device(device)
         found |= {"arch": d.arch, "memory_bytes": d.total_memory, "multiprocessors": d.sm_count}

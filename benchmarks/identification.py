@@ -54,7 +54,7 @@ from bough.learn.systems.branch import BranchSystem
 from bough.sim.base.files import output_folder
 from bough.sim.base.host import describe
 from bough.sim.formats.export_mjcf import to_mjcf
-from measuring import Figure
+from measuring import Figure, InvalidRunError
 from mujoco import minimize, sysid
 from oracles.branch_case import make_branch_case
 from oracles.mujoco_tree import OFF
@@ -319,6 +319,8 @@ def write(out: Path, pairs: list[Pair], seed: int) -> None:
 
 def measured(options: argparse.Namespace) -> list[Figure]:
     """Identify all cases with both and print the table."""
+    if not hasattr(sysid, "default_report"):  # it swallows its own failed imports, and this one is its last
+        raise InvalidRunError('mujoco.sysid lacks packages that it needs: pip install "bough[sysid]"')
     chosen = cases(options.seed, options.cases)
     with tempfile.TemporaryDirectory() as folder:
         compare(Path(folder) / "warm", 999_999, 1, 0.03, samples=60)

@@ -93,7 +93,7 @@ class Result:
     Attributes:
         arguments: The options it was run with.
         seconds: Wall time it took; None where a page does not say.
-        load: Load average when it began; above what it uses itself, the machine was busy.
+        load: Load average when it began, that of a benchmark just before it included.
         figures: What was measured.
         verdicts: The bounds, as they were declared then.
     """
@@ -254,13 +254,13 @@ def main(
     from bough.sim.base.console import start_warp
 
     start_warp()
-    bounds = declared.named(name if isinstance(name, str) else name(options)).bounds
+    key = name if isinstance(name, str) else name(options)
     head, load, begun = heading(), os.getloadavg()[0], time.perf_counter()
     look = head["machine"]
     print(f"{look['cpu']}, {look['cores']} cores, {look['lanes']} lanes; " + _listed(head["versions"]), flush=True)
     try:
         figures = measured(options)
-        verdicts = judge(figures, bounds, look["lanes"], look["cores"])
+        verdicts = judge(figures, declared.named(key).bounds, look["lanes"], look["cores"])
     except InvalidRunError as error:
         print(f"invalid run: {error}", file=sys.stderr)
         return 1
@@ -268,7 +268,6 @@ def main(
     if options.record:
         words = _without(_without(sys.argv[1:], "--record"), "--out")
         result = Result(words, round(time.perf_counter() - begun, 1), round(load, 2), figures, verdicts)
-        key = name if isinstance(name, str) else name(options)
         write_json(options.record, {**head, "results": {key: asdict(result)}})
     return 0 if all(v.met for v in verdicts) else 1
 

@@ -19,7 +19,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import tables
@@ -95,9 +95,9 @@ def save(run: Run, path: Path) -> None:
     write_json(path, run.model_dump(mode="json"))
 
 
-def file_for(run: Run, quick: bool) -> Path:
-    """Name the file of a run in the history, or, for a quick one, beside what scripts write."""
-    device = "gpu" if any(named(n).device == "gpu" for n in run.results) else "cpu"
+def file_for(run: Run, names: Iterable[str], quick: bool) -> Path:
+    """Name the file of a run of these benchmarks: in the history, or, for a quick one, beside what scripts write."""
+    device = "gpu" if any(named(n).device == "gpu" for n in names) else "cpu"
     return new_path(run.date, run.machine, device, SCRATCH if quick else FOLDER)
 
 
@@ -119,17 +119,24 @@ def measure(benchmarks: Sequence[Benchmark], quick: bool, out: Path | None) -> i
         missed = [v.line() for v in run.results[benchmark.name].verdicts if not v.met]
         complaints += [f"{benchmark.name}: {' '.join(line.split())}" for line in missed]
         done.append(run)
-        out = out or file_for(run, quick)
+        out = out or file_for(run, [b.name for b in benchmarks], quick)
         save(joined(done), out)
     print("\n".join(["", *complaints, *([f"wrote {shown(out)}"] if done and out else [])]))
     return 1 if complaints else 0
 
 
 def keep(files: Sequence[Path]) -> int:
-    """Take records that scripts wrote, here or on another machine, into the history."""
-    records = [read(file) for file in files]
+    """Take records that scripts wrote, here or on another machine, into the history.
+
+    Raises:
+        InputError: A file is no record, or of a benchmark that is not declared; then none is taken.
+    """
+    every, records = [b.name for b in BENCHMARKS], [read(file) for file in files]
+    for file, run in zip(files, records, strict=True):
+        for name in set(run.results) - set(every):
+            raise InputError(file, "results", repr(name), nearest(name, every))
     for run in records:
-        path = file_for(run, quick=False)
+        path = file_for(run, run.results, quick=False)
         save(run, path)
         print(f"wrote {shown(path)}")
     return 0
@@ -140,12 +147,10 @@ def show() -> int:
     every = runs()
     for b in BENCHMARKS:
         found = last(b.name, every)
-        print(
-            f"{b.name} ({b.device}, about {b.minutes:g} min, last {found.run.date if found else 'never'}): {b.measures}"
-        )
-        print(
-            f"    beside {b.peer or 'nothing'}; " + ("; ".join(x.text() for x in b.bounds) or f"no bound: {b.unbound}")
-        )
+        when = f"last {found.run.date}" if found else "not run yet"
+        print(f"{b.name} ({b.device}, about {b.minutes:g} min, {when}): {b.measures}")
+        limits = "; ".join(x.text() for x in b.bounds) or f"no bound: {b.unbound}"
+        print(f"    beside {b.peer or 'nothing'}; {limits}")
     return 0
 
 

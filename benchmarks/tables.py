@@ -77,10 +77,10 @@ def tree(found: Last) -> str:
     rows = [[_trees(found, c), *row] for c, row in zip(cases, cells, strict=True)]
     head = f"""Thousand world-steps a second on one core, every world with parameters of its own, dt = 1/240 s,
         medians of interleaved runs ({origin("tree", found, "warp", "mujoco")}); the ratio to C MuJoCo in brackets:"""
-    gain = [f"Two threads give {found.get('two threads', 'gain').value:.2f} times one."] * bool(found.cases("gain"))
-    (batch,) = found.cases("memory")
-    memory = f"State, parameters and scratch of {batch} take {found.get(batch, 'memory').value:.0f} MiB."
-    text = [paragraph(head), lines([["ball-jointed trees", *columns], *rows]), paragraph(" ".join([*gain, memory]))]
+    gain = [f"Two threads give {found.get(case, 'gain').value:.2f} times one." for case in found.cases("gain")]
+    memory = [f"State, parameters and scratch of {batch} take {found.get(batch, 'memory').value:.0f} MiB."
+              for batch in found.cases("memory")]  # fmt: skip
+    text = [paragraph(head), lines([["ball-jointed trees", *columns], *rows]), paragraph(" ".join(gain + memory))]
     return "\n\n".join(text)
 
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -68,6 +69,61 @@ def test_bounds_are_judged_where_they_apply():
         judge(figures, bounds, lanes=16, cores=2)
     with pytest.raises(InvalidRunError, match="not finite"):
         judge([Figure("a", "x", float("nan"))], [], lanes=8, cores=2)
+
+
+def scale_figures():
+    """Return the figures of two sizes."""
+    import scale
+
+    row = {"worlds": 64, "links": 38.0, "build_s": 3.0, "process_gib": 0.5, "policy_steps_per_s": 1e5,
+           "world_steps_per_s": 4e5, "sensing": 0.3, "sensing_of_step": 0.4, "lost": 0}  # fmt: skip
+    return scale.figures([row, row | {"worlds": 256, "world_steps_per_s": 5e5}])
+
+
+def identification_figures():
+    """Return the figures of two cases."""
+    import identification
+
+    row = [1.0, 1.0, 0.4, 0.6, 0.7, 95.0, 80.0, 99.0, 2.0, 2.0, 5.0, 1.0, 5.0]
+    assert len(row) == len(identification.HEAD)
+    return identification.figures([row, row])
+
+
+def calibration_figures():
+    """Return the figures of made-up units of every study."""
+    import calibration
+
+    rng = np.random.default_rng(0)
+
+    def unit(segments: int) -> dict:
+        return {"segments": segments, "particles": 48, "rank": rng.integers(0, 49, 2 * segments).tolist(),
+                "z": rng.normal(size=2 * segments).tolist(), "converged": True}  # fmt: skip
+
+    score = {"coverage": 0.95, "width": 1.0}
+    units = [{"study": "ranks", **unit(r)} for r in (1, 2, 3) for _ in range(20)]
+    units += [{"study": "others", "noise": n, "error": [0.02], **score, **unit(1)} for n in (0.01, 0.03)]
+    units += [{"study": "grasp", "by_place": {"0.9": score, "0.5": score}}]
+    units += [{"study": "force", "by_level": {"0.005": score, "0.05": score | {"width": 1.5}}}]
+    return calibration.figures(calibration.summary([u | {"seconds": 1.0} for u in units]))
+
+
+def accuracy_figures():
+    """Return the figures of a stable tree and of one that MuJoCo blows up on."""
+    import accuracy
+    from oracles.random_tree import random_tree
+    from rich.console import Console
+
+    tree = random_tree(np.random.default_rng(0), 2)
+    outcomes = [accuracy.Outcome(tree, 0.1, 1e-3, 1e-3, 0, False),
+                accuracy.Outcome(tree, 0.1, 1e-3, None, 1, False, True, 1e-6, True)]  # fmt: skip
+    return accuracy.report(outcomes, 32, Console(quiet=True))
+
+
+@pytest.mark.parametrize("figures", [scale_figures, identification_figures, calibration_figures, accuracy_figures])
+def test_bounds_find_their_figures(figures):
+    """Judge what the scripts that take minutes give, by the bounds declared for them: none is without its figure."""
+    name = figures.__name__.removesuffix("_figures")
+    assert len(judge(figures(), named(name).bounds, lanes=16, cores=2)) == len(named(name).bounds)
 
 
 def test_rows_are_measured_in_turn():
