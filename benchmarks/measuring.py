@@ -74,9 +74,9 @@ class Verdict:
     what: str
     of: str
     found: float
-    least: float | None
-    most: float | None
     met: bool
+    least: float | None = None
+    most: float | None = None
 
     def line(self) -> str:
         """Say it in one line."""
@@ -128,7 +128,7 @@ def judge(figures: Sequence[Figure], bounds: Sequence[declared.Bound], lanes: in
             raise InvalidRunError(f"a bound without its figure: {b.case}, {b.what}")
         number = float(getattr(found[b.case, b.what], b.of))
         met = (b.least is None or number >= b.least) and (b.most is None or number <= b.most)
-        verdicts.append(Verdict(b.case, b.what, b.of, number, b.least, b.most, bool(met)))
+        verdicts.append(Verdict(b.case, b.what, b.of, number, bool(met), b.least, b.most))
     return verdicts
 
 

@@ -91,8 +91,12 @@ def joined(done: Sequence[Run]) -> Run:
 
 
 def save(run: Run, path: Path) -> None:
-    """Write a file of the history, whole or not at all."""
-    write_json(path, run.model_dump(mode="json"))
+    """Write a file of the history, whole or not at all; what a figure does not have is left out."""
+    content = run.model_dump(mode="json")
+    for result in content["results"].values():
+        for kind in ("figures", "verdicts"):
+            result[kind] = [{k: v for k, v in entry.items() if v not in (None, "")} for entry in result[kind]]
+    write_json(path, content)
 
 
 def file_for(run: Run, names: Iterable[str], quick: bool) -> Path:
