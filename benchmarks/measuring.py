@@ -247,7 +247,7 @@ def main(
         name: Its name in `declared`, where that depends on options a function of them.
 
     Returns:
-        1 if the run is invalid or a bound is missed.
+        1 if the run is invalid, stopped, or a bound is missed.
     """
     parser.add_argument("--record", type=Path, help="write machine, versions, date and figures to this JSON file")
     options = parser.parse_args()
@@ -261,14 +261,15 @@ def main(
     try:
         figures = measured(options)
         verdicts = judge(figures, declared.named(key).bounds, look["lanes"], look["cores"])
-    except InvalidRunError as error:
-        print(f"invalid run: {error}", file=sys.stderr)
+    except (InvalidRunError, KeyboardInterrupt) as error:
+        print(f"invalid run: {error}" if str(error) else "stopped", file=sys.stderr)
         return 1
-    print("\n".join(["", "Bounds", *(f"  {v.line()}" for v in verdicts)]) if verdicts else "\nNo bound is declared.")
+    seconds = round(time.perf_counter() - begun, 1)
     if options.record:
         words = _without(_without(sys.argv[1:], "--record"), "--out")
-        result = Result(words, round(time.perf_counter() - begun, 1), round(load, 2), figures, verdicts)
+        result = Result(words, seconds, round(load, 2), figures, verdicts)
         write_json(options.record, {**head, "results": {key: asdict(result)}})
+    print("\n".join(["", "Bounds", *(f"  {v.line()}" for v in verdicts)]) if verdicts else "\nNo bound is declared.")
     return 0 if all(v.met for v in verdicts) else 1
 
 
