@@ -9,7 +9,7 @@ PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-all lint format bench docs clean
+.PHONY: help setup demo test test-all lint format bench tables docs clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
@@ -57,8 +57,11 @@ format: $(VENV)/installed-dev  ## mend what ruff can mend
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(VENV)/installed-test  ## measure speed beside C MuJoCo (wants an idle machine)
-	$(BIN)/python benchmarks/tree.py
+bench: $(VENV)/installed-test $(VENV)/installed-sysid  ## measure all, or NAMES="tree contact" (wants an idle machine)
+	$(BIN)/python benchmarks/run.py $(NAMES) $(if $(QUICK),--quick)
+
+tables: $(VENV)/installed-test  ## write the tables of README and docs from the newest results of the benchmarks
+	$(BIN)/python benchmarks/run.py --write
 
 docs: $(VENV)/installed-docs  ## build the documentation site in out/site
 	$(BIN)/mkdocs build --strict

@@ -1,6 +1,6 @@
 """Measure world-steps per second of an arm that sweeps through trees, of bough and of C MuJoCo, interleaved in one run.
 
-    python benchmarks/contact.py [--quick] [--random] [--seed N]
+    python benchmarks/contact.py [--quick] [--random] [--seed N] [--record FILE]
 
 A Jaco 2 sweeps through ternary trees of 40 ball-jointed capsules, every world with a tree and target speeds of its own
 (random, up to 2.4 rad/s at joint 1, tip up to 1.5 m/s), dt = 1/240 s, one second a run. MuJoCo: arm and tree in one
@@ -10,7 +10,7 @@ time, in turn, several times over; penetrations are taken from a run of their ow
 
 A run with a number that is not finite, a lost world, a full contact buffer, deeper penetrations than MuJoCo's, or a
 mean force more than 15 % off that of MuJoCo's stiff contacts is refused. ``--random`` steps 4096 random scenes 1000
-times instead and counts what was lost. Exits with 1 if a run is invalid or a ratio misses its bound.
+times instead and counts what was lost. Exits with 1 if a run is invalid or a bound of `declared` is missed.
 """
 
 from __future__ import annotations
@@ -21,18 +21,16 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
+import measuring
 import mujoco
 import numpy as np
 import torch
-import warp as wp
 from bough.sim.arms.jaco2 import jaco2
 from bough.sim.arms.simulator import ArmSimulator
 from bough.sim.base import host
 from bough.sim.trees.tree import Tree
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+from measuring import Figure, InvalidRunError, beside, in_turn, ratios
 from oracles import contact_case, mujoco_arm
 
 DT = contact_case.DT
@@ -40,10 +38,6 @@ STEPS = 240
 #: Nothing is limited: MuJoCo clips a servo's torque by what the step before asks for, and loses light joints by that.
 FAST = contact_case.free_arm(velocity_limit=10.0, torque_limit=1000.0)
 START = contact_case.STRETCHED + np.array([-0.7, 0, 0, 0, 0, 0])
-
-
-class InvalidRunError(RuntimeError):
-    """A measurement that must not be reported."""
 
 
 @dataclass
@@ -61,13 +55,14 @@ class Row:
     depth: np.ndarray | None = None
     force: np.ndarray | None = None
     contacts: float = 0.0
+    ours: bool = False
 
 
 # ---- engines -------------------------------------------------------------------------------------------------------
 
 
 def bough_row(trees: Sequence[Tree], targets: np.ndarray, sample: int, width: int) -> Row:
-    """Make the row of bough with ``width`` worlds a thread, on one thread."""
+    """Make the row of bough with ``width`` worlds per thread, on one thread."""
     sim = contact_case.simulator(trees, FAST, q=START, width=width, contacts={"capacity": 64})
     goal = torch.as_tensor(targets, dtype=torch.float32)
 
@@ -92,7 +87,7 @@ def bough_row(trees: Sequence[Tree], targets: np.ndarray, sample: int, width: in
         row.contacts = count
         return np.array(depth), np.array(force)
 
-    row = Row(f"bough, {width} a thread", len(trees), run, look)
+    row = Row(f"{width} lanes" if width > 1 else "one world per thread", len(trees), run, look, ours=True)
     return row
 
 
@@ -138,7 +133,7 @@ def mujoco_row(trees: Sequence[Tree], targets: np.ndarray, time_constant: float)
                 row.contacts += data.ncon / STEPS / len(worlds)
         return np.maximum(depth, 0.0), force
 
-    row = Row(f"C MuJoCo, {1e3 * time_constant:.1f} ms", len(worlds), run, look)
+    row = Row(f"C MuJoCo, {1e3 * time_constant:.3g} ms", len(worlds), run, look)
     return row
 
 
@@ -150,11 +145,14 @@ def measure(rows: Sequence[Row], rounds: int) -> None:
     for row in rows:
         row.depth, row.force = row.look()
         row.run()
-    for _ in range(rounds):
-        for row in rows:
-            begin = time.process_time()
-            row.run()
-            row.speed.append(row.worlds * STEPS / (time.process_time() - begin))
+    for row, speed in zip(rows, in_turn([lambda row=row: _speed(row) for row in rows], rounds), strict=True):
+        row.speed = speed
+
+
+def _speed(row: Row) -> float:
+    begin = time.process_time()
+    row.run()
+    return row.worlds * STEPS / (time.process_time() - begin)
 
 
 def report(rows: Sequence[Row]) -> None:
@@ -164,7 +162,7 @@ def report(rows: Sequence[Row]) -> None:
         "depth [mm] mean  99 %   max   mean force [N]"
     )
     for row in rows:
-        ratio = [a / b for a, b in zip(row.speed, rows[0].speed, strict=True)]
+        ratio = ratios(row.speed, rows[0].speed)
         deep = 1e3 * row.depth[row.depth > 0]
         print(
             f"  {row.engine:22s} {row.worlds:5d} {row.contacts:8.2f} {statistics.median(row.speed) / 1e3:9.1f} "
@@ -176,7 +174,7 @@ def report(rows: Sequence[Row]) -> None:
 
 def refuse(rows: Sequence[Row]) -> None:
     """Raise `InvalidRunError` where bough penetrates deeper than MuJoCo or its mean force is another."""
-    base, ours = rows[0], [r for r in rows if r.engine.startswith("bough")]
+    base, ours = rows[0], [r for r in rows if r.ours]
     for row in ours:
         for name, value in (("mean", np.mean), ("99 %", lambda d: np.quantile(d, 0.99)), ("max", np.max)):
             mine, theirs = value(row.depth[row.depth > 0]), value(base.depth[base.depth > 0])
@@ -187,8 +185,23 @@ def refuse(rows: Sequence[Row]) -> None:
             raise InvalidRunError(f"{row.engine}: mean force {mine:.2f} N, MuJoCo's {theirs:.2f} N")
 
 
-def compare(options: argparse.Namespace) -> bool:
-    """Measure all rows, print them and the verdicts; return whether the bounds are kept."""
+def figures(row: Row, base: Row) -> list[Figure]:
+    """Return the figures of a row: its speed beside the first row's, depths, contacts and force."""
+    deep, name = 1e3 * row.depth[row.depth > 0], row.engine
+    return [
+        beside(name, "speed", row.speed, "world-steps/s", base.speed),
+        Figure(name, "contacts near", row.contacts),
+        Figure(name, "mean depth", float(deep.mean()), "mm"),
+        Figure(name, "99 % of depths", float(np.quantile(deep, 0.99)), "mm"),
+        Figure(name, "greatest depth", float(deep.max()), "mm"),
+        Figure(name, "mean force", float(row.force.mean()), "N"),
+    ]
+
+
+def compare(options: argparse.Namespace) -> list[Figure]:
+    """Measure all rows and print them."""
+    options.worlds, options.rounds = (64, 3) if options.quick else (128, 9)
+    print(f"medians of {options.rounds} interleaved rounds")
     rng = np.random.default_rng(options.seed)
     trees = [contact_case.ternary(rng) for _ in range(options.worlds)]
     targets = rng.uniform(-0.3, 0.3, (options.worlds, 6))
@@ -200,26 +213,14 @@ def compare(options: argparse.Namespace) -> bool:
     print(f"\nJaco 2 through trees of {trees[0].num_links} links, {STEPS} steps of 1/240 s")
     report(rows)
     refuse(rows)
-    ratios = {r.engine: statistics.median([a / b for a, b in zip(r.speed, rows[0].speed, strict=True)]) for r in rows}
-    verdicts = [("one world a thread", ratios["bough, 1 a thread"], 4.0)]
-    if host.simd_width() > 1:
-        verdicts.append((f"{host.simd_width()} lanes", ratios[f"bough, {host.simd_width()} a thread"], 12.0))
-    print("\nBounds")
-    for name, value, bound in verdicts:
-        print(f"  {'pass' if value >= bound else 'FAIL'}  {name:24s} {value:8.2f}  >= {bound:g}")
-    return all(value >= bound for _, value, bound in verdicts)
+    return [f for row in rows for f in figures(row, rows[0])]
 
 
 # ---- random scenes -------------------------------------------------------------------------------------------------
 
 
-def random_scenes(options: argparse.Namespace, worlds: int = 4096, steps: int = 1000) -> bool:
-    """Step random scenes under random actions; print what was lost, left out or deep, and return whether all is well.
-
-    Trees stand anywhere around the arm, line and ground are there, arms start anywhere: those that start without any
-    overlap are judged by their depth, all by being finite.
-    """
-    rng = np.random.default_rng(options.seed)
+def random_simulator(rng: np.random.Generator, worlds: int) -> tuple[ArmSimulator, np.ndarray]:
+    """Make random scenes; return them at their start, and which of them are without overlap there, shape [worlds]."""
     few = [contact_case.ternary(rng, order=int(rng.integers(2, 4))) for _ in range(64)]
     trees, q = [], []
     for w in range(worlds):
@@ -228,9 +229,8 @@ def random_scenes(options: argparse.Namespace, worlds: int = 4096, steps: int = 
         place[few[w % 64].parent < 0] = (far * np.cos(angle), far * np.sin(angle), rng.uniform(-0.2, 0.1))
         trees.append(few[w % 64].with_(position=place))
         q.append(np.r_[rng.uniform(-3, 3), rng.uniform(2.0, 4.6), rng.uniform(1.5, 4.7), rng.uniform(-3, 3, 3)])
-    sim = contact_case.simulator(
-        trees, q=np.array(q), width=host.simd_width(), contacts={"capacity": 64, "ground": -0.3}
-    )
+    room = {"capacity": 64, "ground": -0.3}
+    sim = contact_case.simulator(trees, q=np.array(q), width=host.simd_width(), contacts=room)
     angle = torch.as_tensor(rng.uniform(0, np.pi, worlds))
     along = torch.stack([angle.cos(), angle.sin(), torch.full_like(angle, 0.1)], dim=1).float()
     middle = torch.as_tensor(rng.uniform([-0.5, -0.5, 0.1], [0.5, 0.5, 1.1], (worlds, 3))).float()
@@ -240,6 +240,16 @@ def random_scenes(options: argparse.Namespace, worlds: int = 4096, steps: int = 
     sim.step()
     clear = sim.depth.numpy() == 0.0
     sim.reset()
+    return sim, clear
+
+
+def random_scenes(options: argparse.Namespace, worlds: int = 4096, steps: int = 1000) -> list[Figure]:
+    """Step random scenes under random actions; print what was lost, left out or deep.
+
+    Trees stand anywhere around the arm, line and ground are there, arms start anywhere: those that start without any
+    overlap are judged by their depth, all by being finite.
+    """
+    sim, clear = random_simulator(np.random.default_rng(options.seed), worlds)
     deepest, unsettled, busy = np.zeros(worlds), 0, 0
     limit = torch.as_tensor(jaco2().velocity_limit, dtype=torch.float32)
     generator = torch.Generator().manual_seed(options.seed)
@@ -259,27 +269,27 @@ def random_scenes(options: argparse.Namespace, worlds: int = 4096, steps: int = 
           f"{1e3 * np.quantile(deepest[clear], 0.99):.2f}, max {1e3 * deepest[clear].max():.2f} mm; "
           f"{busy / steps / worlds:.1%} of steps have something near, {unsettled / max(busy, 1):.3%} of those were not "
           "settled after the last repeat")  # fmt: skip
-    return not sim.faults() and bool(finite.all()) and not int(sim.overflow.sum()) and deepest[clear].max() < 0.03
+    every, free, deep = f"{worlds} scenes", "scenes that start without overlap", 1e3 * deepest[clear]
+    return [
+        Figure(every, "lost", len(sim.faults())), Figure(every, "not finite", worlds - int(finite.sum())),
+        Figure(every, "with a full buffer", int((sim.overflow > 0).sum())),
+        Figure(every, "steps near something not settled", unsettled / max(busy, 1)), Figure(every, "time", spent, "s"),
+        Figure(free, "number", int(clear.sum())), Figure(free, "deepest", float(deep.max()), "mm"),
+        Figure(free, "depth that 99 % keep to", float(np.quantile(deep, 0.99)), "mm"),
+    ]  # fmt: skip
 
 
-def main() -> int:
-    """Parse options, run, and return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="3 rounds of 64 worlds instead of 9 of 128")
-    parser.add_argument("--random", action="store_true", help="4096 random scenes x 1000 steps instead")
-    parser.add_argument("--seed", type=int, default=0, help="seed of all trees and actions")
-    options = parser.parse_args()
-    options.worlds, options.rounds = (64, 3) if options.quick else (128, 9)
-    wp.config.log_level = wp.LOG_WARNING
-    look = host.describe()
-    print(f"{look['cpu']}, {look['cores']} cores, {host.simd_width()} lanes; Warp {wp.__version__}, "
-          f"MuJoCo {mujoco.__version__}; medians of {options.rounds} interleaved rounds")  # fmt: skip
-    try:
-        return 0 if (random_scenes(options) if options.random else compare(options)) else 1
-    except InvalidRunError as error:
-        print(f"invalid run: {error}", file=sys.stderr)
-        return 1
+def measured(options: argparse.Namespace) -> list[Figure]:
+    """Compare engines, or step random scenes."""
+    return random_scenes(options) if options.random else compare(options)
+
+
+def parser() -> argparse.ArgumentParser:
+    """Make the parser of its options."""
+    found = measuring.quick_and_seed(__doc__, "3 rounds of 64 worlds instead of 9 of 128")
+    found.add_argument("--random", action="store_true", help="4096 random scenes x 1000 steps instead")
+    return found
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(measuring.main(parser(), measured, lambda o: "contact_random" if o.random else "contact"))

@@ -1,6 +1,6 @@
 """Measure what effects cost in the step of a forest, beside the plain step, interleaved in one run.
 
-    python benchmarks/effects.py [--quick] [--seed N]
+    python benchmarks/effects.py [--quick] [--seed N] [--record FILE]
 
 Ternary trees of 40 links on ball joints, dt = 1/240 s, every world with springs and effects of its own, one thread.
 Rows: the plain step, the plain step under a (zero) load, and steps built with effects, neutral and at work. Every row
@@ -15,15 +15,18 @@ import argparse
 import statistics
 import sys
 
+import measuring
 import numpy as np
 import torch
-import warp as wp
 from bough.sim.base import host
 from bough.sim.engine.forest_effects import forest_laws
 from bough.sim.engine.model import Model
 from bough.sim.engine.simulator import Simulator
 from bough.sim.trees.tree import Tree
-from tree import BEND, DT, InvalidRunError, Result, Row, check_bough, measure, random_qpos, ratios, ternary_tree
+from measuring import Figure, InvalidRunError, ratios
+from oracles.random_tree import random_qpos
+from ternary import DT, ternary_tree
+from tree import BEND, Result, Row, check_bough, lanes_text, measure
 
 #: A value [low, high] of every parameter that the rows switch on.
 VALUES = {
@@ -94,38 +97,38 @@ def check_neutral(rows: list[Row], steps: int = 48) -> None:
             raise InvalidRunError(f"{row.engine}: the plain step's bits: {same}")
 
 
-def show(results: list[Result]) -> None:
-    """Print a line a row: thousands of world-steps a second, and the time of a step over the plain one's."""
+def show(case: str, results: list[Result]) -> list[Figure]:
+    """Print a line a row and return the figures: the plain step's speed, times of a step over the plain one's."""
+    plain, found = results[0].speed, []
     for r in results:
-        slower = [1.0 / x for x in ratios(r, results[0])]
+        slower = ratios(plain, r.speed)
+        found.append(Figure(case, r.row.engine, statistics.median(slower), "", (min(slower), max(slower))))
         print(f"  {r.row.engine:34s} {r.median / 1e3:10.1f} {statistics.median(slower):8.2f} x   "
               f"{min(slower):.2f} - {max(slower):.2f}")  # fmt: skip
+    return [measuring.beside(case, f"speed of {results[0].row.engine}", plain, "world-steps/s"), *found]
 
 
-def main() -> int:
-    """Parse options, run, and return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="5 rounds of 0.1 s on 128 worlds instead of 9 of 0.3 s")
-    parser.add_argument("--seed", type=int, default=0, help="seed of all trees and starts")
-    options = parser.parse_args()
+def measured(options: argparse.Namespace) -> list[Figure]:
+    """Measure every table and print it."""
     worlds, rounds, seconds = (128, 5, 0.1) if options.quick else (512, 9, 0.3)
-    wp.config.log_level = wp.LOG_WARNING
     rng = np.random.default_rng(options.seed)
     trees = [with_capsules(ternary_tree(3, rng)) for _ in range(worlds)]
     starts = [random_qpos(rng, t, BEND) for t in trees]
-    print(f"{host.describe()['cpu']}, one thread; {worlds} worlds of {trees[0].num_links} links; Warp {wp.__version__}")
-    try:
-        for width in (1, host.simd_width()):
-            for how in ("", ", each"):
-                table = rows(trees, starts, width, how)
-                check_neutral(table)
-                print(f"\n{width} a thread{how}: k world-steps/s, time over the plain step's, min - max")
-                show(measure(table, rounds, seconds))
-    except InvalidRunError as error:
-        print(f"invalid run: {error}", file=sys.stderr)
-        return 1
-    return 0
+    print(f"one thread; {worlds} worlds of {trees[0].num_links} links")
+    found = []
+    for width in (1, host.simd_width()):
+        for how in ("", ", each"):
+            table = rows(trees, starts, width, how)
+            check_neutral(table)
+            print(f"\n{lanes_text(width)}{how}: k world-steps/s, time over the plain step's, min - max")
+            found += show(lanes_text(width), measure(table, rounds, seconds))
+    return found
+
+
+def parser() -> argparse.ArgumentParser:
+    """Make the parser of its options."""
+    return measuring.quick_and_seed(__doc__, "5 rounds of 0.1 s on 128 worlds instead of 9 of 0.3 s")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(measuring.main(parser(), measured, "effects"))

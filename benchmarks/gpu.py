@@ -1,6 +1,6 @@
 """Check and measure bough on a GPU: one command, under nine minutes, no network.
 
-    python benchmarks/gpu.py --out DIR [--device cuda:0] [--quick]
+    python benchmarks/gpu.py --out DIR [--device cuda:0] [--quick] [--record FILE]
 
 Writes ``gpu.json`` and ``gpu.md`` to DIR after every section, so that a run that is cut short leaves what it had.
 Exits with 1 if a check failed. Needs NumPy, torch, Warp and, for the last check, Newton; runs from a checkout that is
@@ -12,106 +12,58 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
-import platform
+import math
 import sys
 import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import torch
 import warp as wp
 
-DT = 1.0 / 240.0
 SIZES = {2: 13, 3: 40, 4: 121}  # links of a ternary tree, by order
 
 
-def load_bough() -> SimpleNamespace:
-    """Import bough, from the checkout this file is in where it is not installed."""
-    if importlib.util.find_spec("bough") is None:
-        root = Path(__file__).resolve().parent.parent
-        spec = importlib.util.spec_from_file_location(
-            "bough", root / "__init__.py", submodule_search_locations=[str(root)]
-        )
-        assert spec is not None and spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules["bough"] = module
-        spec.loader.exec_module(module)
-    from bough.sim.engine.model import Model
-    from bough.sim.engine.simulator import Simulator
-    from bough.sim.trees.tree import Joint, Tree, capsule_inertia
-
-    return SimpleNamespace(Model=Model, Simulator=Simulator, Joint=Joint, Tree=Tree, capsule_inertia=capsule_inertia)
+def load_bough() -> None:
+    """Import bough from the checkout this file is in, where it is not installed."""
+    if importlib.util.find_spec("bough") is not None:
+        return
+    root = Path(__file__).resolve().parent.parent
+    spec = importlib.util.spec_from_file_location("bough", root / "__init__.py", submodule_search_locations=[str(root)])
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["bough"] = module
+    spec.loader.exec_module(module)
 
 
-bough = load_bough()
-import gpu_arm  # noqa: E402  (beside this file; it needs bough)
+load_bough()
+import gpu_arm  # noqa: E402  (this and all below need bough)
+import measuring  # noqa: E402
+from bough.sim.engine.model import Model  # noqa: E402
+from bough.sim.engine.simulator import Simulator  # noqa: E402
+from bough.sim.trees.tree import Tree  # noqa: E402
+from measuring import Figure  # noqa: E402
+from ternary import DT, ternary_tree  # noqa: E402
 
-# ---- trees -------------------------------------------------------------------------------------------------------
-
-
-def ternary_tree(order: int, rng: np.random.Generator, drop: float = 0.0) -> Any:
-    """Make a ternary tree of ball joints: capsules of wood, K 120 / 3^level (at least 5) N m/rad, D = K / 10.
-
-    ``drop`` is the chance that a link beyond the trunk, with all it carries, is left out.
-    """
-    parent, level = [-1], [0]
-    frontier = [0]
-    for depth in range(1, order + 1):
-        grown = []
-        for p in frontier:
-            for _ in range(3):
-                if rng.random() >= drop:
-                    grown.append(len(parent))
-                    parent.append(p)
-                    level.append(depth)
-        frontier = grown
-    return _capsules(np.array(parent), np.array(level), rng)
+# ---- worlds ------------------------------------------------------------------------------------------------------
 
 
-def _capsules(parent: np.ndarray, level: np.ndarray, rng: np.random.Generator) -> Any:
-    n = len(parent)
-    length = 0.6 * 0.7**level * rng.uniform(0.9, 1.1, n)
-    radius = 0.03 * 0.6**level * rng.uniform(0.9, 1.1, n)
-    mass = 700.0 * np.pi * radius**2 * length
-    moments = np.array([(a, a, b) for a, b in map(bough.capsule_inertia, mass, radius, length)])
-    half = np.where(level == 0, 0.05, rng.uniform(0.2, 0.5, n))
-    around = rng.uniform(-np.pi, np.pi, n)
-    zero = np.zeros(n)
-    stiffness = np.maximum(5.0, 120.0 / 3.0**level) * rng.uniform(0.8, 1.2, n)
-    above = np.where(parent >= 0, length[parent], 0.0)
-    return bough.Tree(
-        name=f"ternary-{n}",
-        link_name=[f"link{i}" for i in range(n)],
-        parent=parent,
-        joint=np.full(n, int(bough.Joint.SPHERICAL)),
-        position=np.stack([zero, zero, above], 1),
-        rotation=np.stack([np.cos(half), np.sin(half) * np.cos(around), np.sin(half) * np.sin(around), zero], 1),
-        mass=mass,
-        com=np.stack([zero, zero, length / 2], 1),
-        inertia=moments[:, :, None] * np.eye(3),
-        stiffness=stiffness,
-        damping=0.1 * stiffness,
-        level=level,
-    )
-
-
-def forest(order: int, worlds: int, *, drop: float = 0.0, distinct: int = 256) -> list[Any]:
+def forest(order: int, worlds: int, *, drop: float = 0.0, distinct: int = 256) -> list[Tree]:
     """Make a tree a world, ``distinct`` of them different."""
     rng = np.random.default_rng(order)
     trees = [ternary_tree(order, rng, drop) for _ in range(min(worlds, distinct))]
     return [trees[w % len(trees)] for w in range(worlds)]
 
 
-def simulator(trees: list[Any], device: str, *, substeps: int = 1, precision: int = 32) -> Any:
-    """Make a simulator with one world a thread, as a GPU has it."""
-    return bough.Simulator(bough.Model(trees, device=device, precision=precision, width=1), dt=DT, substeps=substeps)
+def simulator(trees: list[Tree], device: str, *, substeps: int = 1, precision: int = 32) -> Simulator:
+    """Make a simulator with one world per thread, as a GPU has it."""
+    return Simulator(Model(trees, device=device, precision=precision, width=1), dt=DT, substeps=substeps)
 
 
-def bent(trees: list[Any]) -> list[np.ndarray]:
+def bent(trees: list[Tree]) -> list[np.ndarray]:
     """Turn every ball joint by up to 0.2 rad: ``qpos`` of every world."""
     out = []
     for world, tree in enumerate(trees):
@@ -121,7 +73,7 @@ def bent(trees: list[Any]) -> list[np.ndarray]:
     return out
 
 
-def moved(trees: list[Any], device: str, steps: int, precision: int = 32) -> np.ndarray:
+def moved(trees: list[Tree], device: str, steps: int, precision: int = 32) -> np.ndarray:
     """Return positions [worlds, links, 3] after steps from a bent start."""
     sim = simulator(trees, device, precision=precision)
     sim.state.set_qpos(bent(trees))
@@ -273,7 +225,7 @@ ARM: dict[str, Callable[[str, bool], dict[str, Any]]] = {
 
 
 def measure(order: int, worlds: int, substeps: int, device: str, quick: bool, drop: float = 0.0) -> dict[str, Any]:
-    """Replay a graph of steps: world-steps a second (median and spread of five), memory, finite worlds."""
+    """Replay a graph of steps: world-steps per second (median and spread of five), memory, finite worlds."""
     trees = forest(order, worlds, drop=drop)
     begun, free = time.perf_counter(), _free(device)
     sim = simulator(trees, device, substeps=substeps)
@@ -334,8 +286,7 @@ def plan(quick: bool) -> list[tuple[int, int, int, float]]:
 
 def machine(device: str) -> dict[str, Any]:
     """Describe processor, GPU and versions."""
-    found = {"device": str(wp.get_device(device).name), "python": platform.python_version(), "warp": wp.__version__}
-    found |= {"torch": torch.__version__, "numpy": np.__version__, "cpu": platform.processor() or platform.machine()}
+    found = {"device": str(wp.get_device(device).name), **measuring.versions(), **measuring.machine()}
     if "cuda" in device:
         d = wp.get_device(device)
         found |= {"arch": d.arch, "memory_bytes": d.total_memory, "multiprocessors": d.sm_count}
@@ -386,26 +337,14 @@ def guarded(work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     return found | {"seconds": round(time.perf_counter() - begun, 2)}
 
 
-def main() -> int:
-    """Run everything; return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder for gpu.json and gpu.md")
-    parser.add_argument("--device", default="cuda:0", help="Warp device")
-    parser.add_argument("--quick", action="store_true", help="tiny sizes, to try the script")
-    parser.add_argument("--budget", type=float, default=460.0, help="seconds; measuring takes half, training the rest")
-    options = parser.parse_args()
+def sections(options: argparse.Namespace, report: dict[str, Any]) -> None:
+    """Run every section and save the report after each; what time does not allow is named in ``left_out``."""
     begun = time.perf_counter()
-    options.out.mkdir(parents=True, exist_ok=True)
-    report: dict[str, Any] = {"machine": machine(options.device), "checks": {}, "arm": {}, "speed": []}
-    report["left_out"] = []
-    for name, check in CHECKS.items():
-        report["checks"][name] = guarded(lambda check=check: check(options.device, options.quick))
-        print(name, report["checks"][name], flush=True)
-        save(report, options.out)
-    for name, section in ARM.items():
-        report["arm"][name] = guarded(lambda section=section: section(options.device, options.quick))
-        print(name, report["arm"][name], flush=True)
-        save(report, options.out)
+    for kind, work in (("checks", CHECKS), ("arm", ARM)):
+        for name, section in work.items():
+            report[kind][name] = guarded(lambda section=section: section(options.device, options.quick))
+            print(name, report[kind][name], flush=True)
+            save(report, options.out)
     for order, worlds, substeps, drop in plan(options.quick):
         name = f"{'mixed ' if drop else ''}{SIZES[order]} links x {worlds}, substeps {substeps}"
         if time.perf_counter() - begun > options.budget / 2:  # the other half is for training
@@ -413,16 +352,44 @@ def main() -> int:
             continue
         run = guarded(lambda o=order, w=worlds, s=substeps, d=drop: measure(o, w, s, options.device, options.quick, d))
         print(name, run, flush=True)
-        (report["speed"].append(run) if "error" not in run else report["checks"].update({name: run}))
+        (report["speed"].append(run | {"name": name}) if "error" not in run else report["checks"].update({name: run}))
         save(report, options.out)
     left = options.budget - (time.perf_counter() - begun)
     training = guarded(lambda: gpu_arm.measure_training(options.device, options.quick, left, options.out / "run"))
     report["arm"]["training"] = training
     print("training", training, flush=True)
     save(report, options.out)
-    found = (*report["checks"].values(), *report["arm"].values(), *report["speed"])
-    return 0 if all(r["ok"] for r in found) else 1
+
+
+def measured(options: argparse.Namespace) -> list[Figure]:
+    """Run everything; return the speeds, the arm's numbers, and how many sections failed."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    report: dict[str, Any] = {"machine": machine(options.device), "checks": {}, "arm": {}, "speed": [], "left_out": []}
+    sections(options, report)
+    failed = sum(not r["ok"] for r in (*report["checks"].values(), *report["arm"].values(), *report["speed"]))
+    arm = [(name, key, x) for name, found in report["arm"].items() for key, x in found.items()]
+    return [
+        *(Figure(r["name"], "speed", r["world_steps_per_s"], "world-steps/s", tuple(r["spread"]))
+          for r in report["speed"]),
+        *(Figure(name, key, x) for name, key, x in arm if _is_number(x)),
+        Figure("all sections", "failed", failed),
+    ]  # fmt: skip
+
+
+def _is_number(x: Any) -> bool:
+    """Whether it is a finite number: a policy that never succeeded has some that are not."""
+    return isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x)
+
+
+def parser() -> argparse.ArgumentParser:
+    """Make the parser of its options."""
+    found = measuring.parser_of(__doc__)
+    found.add_argument("--out", type=Path, required=True, help="folder for gpu.json and gpu.md")
+    found.add_argument("--device", default="cuda:0", help="Warp device")
+    found.add_argument("--quick", action="store_true", help="tiny sizes, to try the script")
+    found.add_argument("--budget", type=float, default=460.0, help="seconds; measuring takes half, training the rest")
+    return found
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(measuring.main(parser(), measured, "gpu"))

@@ -77,7 +77,7 @@ def check_copies(device: str, quick: bool) -> dict[str, Any]:
 
 
 def measure_shares(device: str, quick: bool) -> dict[str, Any]:
-    """Policy steps a second, and how they divide into physics, perception and learning's own forward pass."""
+    """Policy steps per second, and how they divide into physics, perception and learning's own forward pass."""
     worlds, count = (16, 2) if quick else (6144, 20)
     task = _task(device, quick, worlds)
     whole = _seconds(lambda: task.step(task.actions), device, count)

@@ -1,6 +1,6 @@
 """Measure world-steps per second of bough and of C MuJoCo, interleaved in one run.
 
-    python benchmarks/tree.py [--quick] [--seed N]
+    python benchmarks/tree.py [--quick] [--seed N] [--record FILE]
 
 Ternary trees of 13, 40 and 121 links on ball joints, dt = 1/240 s, every world with parameters of its own, K = 120, 40,
 14, 5, 5 N m/rad by level and D = K / 10; then forests in which every tree has its own topology. Both engines step the
@@ -8,7 +8,7 @@ same trees from the same bent start, with one thread each, timed by the processo
 wall clock). Rows of one table are measured in turn, several times over. A run with a number that is not finite, a
 quaternion off unit length, a frozen world, or body positions that differ between the engines is refused.
 
-Exits with 1 if a run is invalid or a ratio misses its bound.
+Exits with 1 if a run is invalid or a bound of `declared` is missed.
 """
 
 from __future__ import annotations
@@ -20,27 +20,20 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
+import measuring
 import numpy as np
-import warp as wp
 from bough.sim.base import host
 from bough.sim.engine.model import Model
 from bough.sim.engine.simulator import Simulator
-from bough.sim.trees.tree import Joint, Tree, capsule_inertia
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+from bough.sim.trees.tree import Joint, Tree
+from measuring import Figure, InvalidRunError, beside, in_turn, ratios
 from oracles import mujoco_tree
 from oracles.random_tree import random_qpos, random_tree
+from ternary import DT, ternary_tree
 
-DT = 1.0 / 240.0
-STIFFNESS = np.array([120.0, 40.0, 14.0, 5.0, 5.0])
 BEND = 0.1  # rad, of every joint at the start
 MEGABYTE = 2.0**20
-
-
-class InvalidRunError(RuntimeError):
-    """A measurement that must not be reported."""
 
 
 @dataclass
@@ -74,52 +67,16 @@ class Result:
         return statistics.median(self.speed)
 
 
-# ---- trees ---------------------------------------------------------------------------------------------------------
-
-
-def ternary_tree(order: int, rng: np.random.Generator, cull: float = 0.0) -> Tree:
-    """Make a ternary tree of capsule links with masses and springs varied by 10 %, numbered depth first.
-
-    Args:
-        order: Levels beyond the trunk; 2, 3, 4 make 13, 40, 121 links.
-        rng: Source of the variation.
-        cull: Chance that a fork lacks a link, with all that it would carry.
-    """
-    parent, level, turn = [], [], []
-    todo = [(-1, 0, 0)]
-    while todo:
-        above, depth, side = todo.pop()
-        parent.append(above)
-        level.append(depth)
-        turn.append(side)
-        if depth < order:
-            todo += [(len(parent) - 1, depth + 1, k) for k in range(3) if rng.random() >= cull]
-    return _capsules(f"ternary-{order}", np.array(parent), np.array(level), np.array(turn), rng)
-
-
-def _capsules(name: str, parent: np.ndarray, level: np.ndarray, side: np.ndarray, rng: np.random.Generator) -> Tree:
-    n = len(parent)
-    vary = rng.uniform(0.9, 1.1, (4, n))
-    length, radius = 0.6 * 0.7**level * vary[0], 0.03 * 0.6**level * vary[1]
-    mass = 700.0 * np.pi * radius**2 * length * vary[2]
-    moments = np.array([(a, a, b) for a, b in map(capsule_inertia, mass, radius, length)])
-    about, tilt = 2 * np.pi * side / 3, np.where(level > 0, np.radians(35.0), 0.0)
-    w, s = np.cos(tilt / 2), np.sin(tilt / 2)
-    stiffness = STIFFNESS[level] * vary[3]
-    return Tree(
-        name=name, link_name=[f"link{i}" for i in range(n)], parent=parent, joint=np.full(n, Joint.SPHERICAL),
-        position=np.where((parent >= 0)[:, None], length[parent][:, None] * [0.0, 0.0, 1.0], 0.0),
-        rotation=np.stack([w, s * np.cos(about), s * np.sin(about), np.zeros(n)], axis=1), mass=mass,
-        com=np.outer(length / 2, [0.0, 0.0, 1.0]), inertia=moments[:, :, None] * np.eye(3), stiffness=stiffness,
-        damping=stiffness / 10.0, level=level,
-    )  # fmt: skip
-
-
 # ---- engines -------------------------------------------------------------------------------------------------------
 
 
+def lanes_text(width: int) -> str:
+    """Say how many worlds a thread takes at once."""
+    return f"{width} lanes" if width > 1 else "one world per thread"
+
+
 def bough_row(trees: Sequence[Tree], starts: Sequence[np.ndarray], width: int, threads: int = 1) -> Row:
-    """Make the row of bough with ``width`` worlds a thread."""
+    """Make the row of bough with ``width`` worlds per thread."""
     simulator = Simulator(Model(trees, width=width), dt=DT, threads=threads)
     simulator.state.set_qpos(starts)
     simulator.refresh()
@@ -129,7 +86,7 @@ def bough_row(trees: Sequence[Tree], starts: Sequence[np.ndarray], width: int, t
         simulator.reset()
         simulator.step(steps)
 
-    name = f"bough, {width} a thread" + (f", {threads} threads" if threads > 1 else "")
+    name = lanes_text(width) + (f", {threads} threads" if threads > 1 else "")
     return Row(name, trees, len(trees), run, lambda: check_bough(simulator), simulator)
 
 
@@ -199,17 +156,14 @@ def measure(rows: Sequence[Row], rounds: int, seconds: float) -> list[Result]:
         row.run(2)
         row.steps = 8
         row.steps = max(8, round(8 * seconds / max(timed(row), 1e-4)))
-    speeds: list[list[float]] = [[] for _ in rows]
-    for _ in range(rounds):
-        for row, speed in zip(rows, speeds, strict=True):
-            speed.append(row.worlds * row.steps / timed(row))
-            row.finite = row.check()
+    speeds = in_turn([lambda row=row: _speed(row) for row in rows], rounds)
     return [Result(row, speed) for row, speed in zip(rows, speeds, strict=True)]
 
 
-def ratios(result: Result, base: Result) -> list[float]:
-    """Ratios to another row, round by round."""
-    return [a / b for a, b in zip(result.speed, base.speed, strict=True)]
+def _speed(row: Row) -> float:
+    speed = row.worlds * row.steps / timed(row)
+    row.finite = row.check()
+    return speed
 
 
 def compare_positions(simulator: Simulator, chosen: Sequence[int], worlds: MujocoWorlds, steps: int = 48) -> float:
@@ -232,7 +186,7 @@ def compare_positions(simulator: Simulator, chosen: Sequence[int], worlds: Mujoc
 def print_rows(results: Sequence[Result]) -> None:
     """Print one line a row; ratios are those of the first row, MuJoCo's."""
     for r in results:
-        trees, ratio = r.row.trees, ratios(r, results[0])
+        trees, ratio = r.row.trees, ratios(r.speed, results[0].speed)
         links = statistics.mean(t.num_links for t in trees)
         dofs = statistics.mean(t.num_dofs for t in trees)
         print(
@@ -257,7 +211,7 @@ HEADER = (
 
 
 def lane_widths() -> list[int]:
-    """Return the widths to measure: one world a thread, and what this machine's registers hold."""
+    """Return the widths to measure: one world per thread, and what this machine's registers hold."""
     return [1, 8, 16] if host.simd_width() == 16 else [1, 8]
 
 
@@ -278,95 +232,67 @@ def table(
     return results
 
 
-def thread_table(trees: list[Tree], options: argparse.Namespace) -> float | None:
-    """Measure two threads against one by wall clock; None where there is one core."""
+def thread_figures(trees: list[Tree], options: argparse.Namespace) -> list[Figure]:
+    """Measure two threads against one by wall clock; nothing where there is one core."""
     if host.num_threads() < 2:
         print("\nOne core: two threads are not measured.")
-        return None
+        return []
     rng = np.random.default_rng(options.seed)
     starts = [random_qpos(rng, t, BEND) for t in trees]
     rows = [bough_row(trees, starts, host.simd_width(), threads) for threads in (1, 2)]
     for row in rows:
         row.wall = True
     one, two = measure(rows, options.rounds, 2 * options.seconds)
-    gain = ratios(two, one)
+    gain = ratios(two.speed, one.speed)
     print(f"\nTwo threads, {trees[0].num_links} links, {len(trees)} worlds, wall clock")
     for r in (one, two):
         print(f"  {r.row.engine:32s} {r.median / 1e3:10.1f} k  {min(r.speed) / 1e3:.1f} - {max(r.speed) / 1e3:.1f}")
     load = os.getloadavg()[0]  # above one, someone else has used the second core
     print(f"  gain {statistics.median(gain):.2f}, {min(gain):.2f} - {max(gain):.2f}; load average {load:.1f}")
-    return statistics.median(gain)
+    return [Figure("two threads", "gain", statistics.median(gain), "", (min(gain), max(gain)))]
 
 
-def memory(order: int = 3, worlds: int = 6144) -> float:
-    """Print and return the memory [MiB] of state, parameters and scratch of a large batch, summed over its arrays."""
+def memory(order: int = 3, worlds: int = 6144) -> Figure:
+    """Return the memory [MiB] of state, parameters and scratch of a large batch, summed over its arrays."""
     tree = ternary_tree(order, np.random.default_rng(0))
     total = Simulator(Model([tree] * worlds, width=host.simd_width())).nbytes / MEGABYTE
     print(f"\nState, parameters and scratch of {worlds} worlds of {tree.num_links} links: {total:.1f} MiB")
-    return total
+    return Figure(f"{worlds} worlds of {tree.num_links} links", "memory", total, "MiB")
 
 
-def best_of(results: Sequence[Result], engine: str) -> float:
-    """Median ratio to MuJoCo of the row whose name starts with ``engine``."""
-    found = next(r for r in results if r.row.engine.startswith(engine))
-    return statistics.median(ratios(found, results[0]))
+def figures(case: str, results: Sequence[Result]) -> list[Figure]:
+    """Return the figures of a table: MuJoCo's row, then those of bough beside it; and how many topologies it had."""
+    base, trees = results[0], results[1].row.trees
+    rows = [beside(case, r.row.engine, r.speed, "world-steps/s", base.speed) for r in results[1:]]
+    counts = [Figure(case, "topologies", topologies(trees)), Figure(case, "worlds", len(trees))]
+    return [beside(case, base.row.engine, base.speed, "world-steps/s"), *rows, *counts]
 
 
-def run(options: argparse.Namespace) -> bool:
-    """Measure everything, print the verdicts, return whether all bounds are kept."""
-    widths, lanes = lane_widths(), host.simd_width()
-    verdicts: list[tuple[str, float, float, bool]] = []
-    lane_bound = 30.0 if lanes == 16 else 18.0
+def measured(options: argparse.Namespace) -> list[Figure]:
+    """Measure everything and print it."""
+    options.worlds, options.rounds, options.seconds = (128, 5, 0.1) if options.quick else (512, 9, 0.3)
+    print(f"medians of {options.rounds} interleaved rounds")
+    widths, lanes, found = lane_widths(), host.simd_width(), []
     rng = np.random.default_rng(options.seed)
     for order in (2, 3, 4):
         trees = [ternary_tree(order, rng) for _ in range(options.worlds)]
         n = trees[0].num_links
         results = table(f"Ternary tree of {n} links, worlds of one topology", trees, widths, options, 8)
-        verdicts.append((f"{n} links, one world a thread", best_of(results, "bough, 1 a"), 3.0, True))
-        verdicts.append((f"{n} links, {lanes} lanes", best_of(results, f"bough, {lanes} a"), lane_bound, True))
-        if order == 3:
-            gain = thread_table(trees, options)
+        found += figures(f"{n} links", results)
+        found += thread_figures(trees, options) if order == 3 else []
     mixed = [ternary_tree(3, rng, cull=0.15) for _ in range(options.worlds)]
-    results = table("Culled ternary trees, mixed topologies", mixed, [1, lanes], options, 32)
-    verdicts.append(("mixed topologies", best_of(results, f"bough, {lanes} a"), 8.0, True))
+    found += figures("culled trees", table("Culled ternary trees, mixed topologies", mixed, [1, lanes], options, 32))
     wild = [random_tree(rng, int(rng.integers(2, 61)), joints=(Joint.SPHERICAL,), damping_ratio=(0.5, 2.0),
                         stiffness=(1.0, 20.0)) for _ in range(options.worlds)]  # fmt: skip
-    table("Random trees of 2 to 60 links, nothing in common", wild, [1, lanes], options, 32, angle=0.02)
-    if gain is not None:
-        verdicts.append(("two threads against one", gain, 1.7, True))
-    verdicts.append(("memory of 6144 worlds of 40 links [MiB]", memory(), 256.0, False))
-    return print_verdicts(verdicts)
+    title = "Random trees of 2 to 60 links, nothing in common"
+    found += figures("random trees", table(title, wild, [1, lanes], options, 32, angle=0.02))
+    return [*found, memory()]
 
 
-def print_verdicts(verdicts: Sequence[tuple[str, float, float, bool]]) -> bool:
-    """Print (what, value, bound, whether the bound is a lower one) and return whether all are kept."""
-    print("\nBounds")
-    kept = []
-    for name, value, bound, lower in verdicts:
-        kept.append(value >= bound if lower else value <= bound)
-        sign = ">=" if lower else "<="
-        print(f"  {'pass' if kept[-1] else 'FAIL'}  {name:44s} {value:8.2f}  {sign} {bound:g}")
-    return all(kept)
-
-
-def main() -> int:
-    """Parse options, run, and return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="5 rounds of 0.1 s on 128 worlds instead of 9 of 0.3 s")
-    parser.add_argument("--seed", type=int, default=0, help="seed of all trees and starts")
-    options = parser.parse_args()
-    quick = options.quick
-    options.worlds, options.rounds, options.seconds = (128, 5, 0.1) if quick else (512, 9, 0.3)
-    wp.config.log_level = wp.LOG_WARNING
-    look = host.describe()
-    print(f"{look['cpu']}, {look['cores']} cores, {host.simd_width()} lanes; Warp {wp.__version__}, "
-          f"MuJoCo {mujoco_tree.mujoco.__version__}; medians of {options.rounds} interleaved rounds")  # fmt: skip
-    try:
-        return 0 if run(options) else 1
-    except InvalidRunError as error:
-        print(f"invalid run: {error}", file=sys.stderr)
-        return 1
+def parser() -> argparse.ArgumentParser:
+    """Make the parser of its options."""
+    return measuring.quick_and_seed(__doc__, "5 rounds of 0.1 s on 128 worlds instead of 9 of 0.3 s")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(measuring.main(parser(), measured, "tree"))
