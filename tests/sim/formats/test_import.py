@@ -212,7 +212,7 @@ BAD_BODIES = {
     "nan": (f"<body pos='0 nan 0'>{BALL}</body>", "pos='0 nan 0'"),
     "two numbers": (f"<body pos='0 1'>{BALL}</body>", "pos='0 1'"),
     "zero quaternion": (f"<body quat='0 0 0 0'>{BALL}</body>", "length zero"),
-    "two orientations": (f"<body quat='1 0 0 0' euler='1 2 3'>{BALL}</body>", "quat and euler"),
+    "two orientations": (f"<body quat='1 0 0 0' euler='1 2 3'>{BALL}</body>", "quat='1 0 0 0' and euler='1 2 3'"),
     "zero axis": ("<body><joint axis='0 0 0'/><geom size='.1'/></body>", "length zero"),
     "misspelt attribute": ("<body><joint stifness='4'/><geom size='.1'/></body>", "stifness"),
     "unknown class": ("<body><joint class='no'/><geom size='.1'/></body>", "class='no'"),
