@@ -13,7 +13,7 @@ from .exit_codes import ExitCode
 class Hide:
     """Make a case with effects hidden in it, recorded by MuJoCo; write the folder and OUT_answer.json beside it.
 
-    Needs MuJoCo: pip install 'bough[oracle]'. Exit code 0: done; 2: bad input, nothing written.
+    Exit code 0: done; 2: bad input, nothing written.
 
     Attributes:
         out: Case folder to write.

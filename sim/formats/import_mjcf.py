@@ -9,8 +9,6 @@ them one common anchor, stops at boxes and ellipsoids given by ``fromto``, and l
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.mujoco_log import without_log
 from ..base.rotation import axis_angle_quat, quat_matrix, quat_multiply, quat_rotate
 from ..base.types import Array
 from ..trees.tree import Joint, Tree
@@ -28,7 +27,7 @@ _IDENTITY = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 _KINDS = {1: Joint.SPHERICAL, 2: Joint.PRISMATIC, 3: Joint.REVOLUTE}  # by MuJoCo's mjtJoint
 _SPHERE = 2  # in MuJoCo's mjtGeom
 _CAPSULES = (_SPHERE, 3, 5)  # with capsule and cylinder
-_SAME = 1e-9  # relative; below it a compiled inertia is the written one, less the digits that finding its axes cost
+_SAME = 1e-13  # relative difference by which the compiler's own rounding can move what the file states
 
 
 @dataclass
@@ -108,7 +107,8 @@ def _compile(source: Source, folder: Path) -> tuple[Any, Any]:
     """
     import mujoco  # not needed by those who read no MJCF
 
-    with _silent():
+    with without_log(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a simulation, which this is not
         try:
             spec = mujoco.MjSpec.from_string("\n".join(source.lines))
             spec.modelfiledir = str(folder)
@@ -119,21 +119,6 @@ def _compile(source: Source, folder: Path) -> tuple[Any, Any]:
             raise
         except (ValueError, RuntimeError, mujoco.FatalError) as e:
             raise source.refusal(str(e)) from None
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """Keep MuJoCo's warnings from the console and from a file MUJOCO_LOG.TXT in the user's folder."""
-    import mujoco
-
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 def _depth_first(source: Source, spec: Any, model: Any) -> list[tuple[int, int]]:
@@ -165,20 +150,22 @@ def _make_links(spec: Any, model: Any, bodies: list[tuple[int, int]]) -> tuple[l
     """Links of all bodies and the index of each body's own link."""
     links: list[Link] = []
     body_link = {0: -1}
-    written = {body.id: body.fullinertia for body in spec.bodies}
+    by_number = {body.id: body for body in spec.bodies}
+    axes = {joint.id: joint.axis for joint in spec.joints}
     for (body, parent), name in zip(bodies, _names(model, bodies), strict=True):
-        above, pose = body_link[parent], (model.body_pos[body].copy(), model.body_quat[body].copy())
+        written, above = by_number[body], body_link[parent]
+        pose = model.body_pos[body].copy(), _direction(written.quat, model.body_quat[body])
         joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
         for k, joint in enumerate(joints or [-1]):
             link = Link(name, above, Joint.FIXED, *pose)
             if joint >= 0:
-                _set_joint(model, link, joint)
+                _set_joint(model, link, joint, axes[joint])
                 if k < len(joints) - 1:
                     link.link_name = f"{name}:{model.joint(joint).name or k}"
             links.append(link)
             above, pose = len(links) - 1, _IDENTITY
         links[-1].mass, links[-1].com = float(model.body_mass[body]), model.body_ipos[body].copy()
-        links[-1].inertia = _inertia(model, body, written[body])
+        links[-1].inertia = _inertia(model, body, written.fullinertia)
         body_link[body] = len(links) - 1
     return links, body_link
 
@@ -196,15 +183,25 @@ def _names(model: Any, bodies: list[tuple[int, int]]) -> list[str]:
 
 
 def _inertia(model: Any, body: int, written: Array) -> Array:
-    """Inertia of a body about its centre of mass in its own axes [kg m^2], shape [3, 3]; as written where it is."""
+    """Inertia of a body about its centre of mass in its own axes [kg m^2], shape [3, 3]."""
     R = quat_matrix(model.body_iquat[body])
     inertia = R @ np.diag(model.body_inertia[body]) @ R.T
     xx, yy, zz, xy, xz, yz = written  # NaN if the file has none
-    full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return full if np.allclose(full, inertia, rtol=0.0, atol=_SAME * np.abs(inertia).max()) else inertia
+    return _as_written(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), inertia)
 
 
-def _set_joint(model: Any, link: Link, joint: int) -> None:
+def _as_written(written: Array, compiled: Array) -> Array:
+    """Return what the file states, to its last digit, where the compiler did no more than round it."""
+    same = np.allclose(written, compiled, rtol=0.0, atol=_SAME * np.abs(compiled).max())
+    return np.array(written if same else compiled)
+
+
+def _direction(written: Array, compiled: Array) -> Array:
+    """Return a unit axis or quaternion as the file states it, or as frames and other ways to write it make it."""
+    return _as_written(written / np.linalg.norm(written), compiled)
+
+
+def _set_joint(model: Any, link: Link, joint: int, axis: Array) -> None:
     """Fill in a link's joint; the pose, given at ``qpos = ref``, is taken back to ``qpos = 0``."""
     dof, at = model.jnt_dofadr[joint], model.jnt_qposadr[joint]
     link.joint, link.number = _KINDS[int(model.jnt_type[joint])], joint
@@ -215,7 +212,7 @@ def _set_joint(model: Any, link: Link, joint: int) -> None:
     if link.joint == Joint.SPHERICAL:
         link.rest = link.qpos0 = _IDENTITY[1]
         return
-    link.axis, ref = model.jnt_axis[joint].copy(), float(model.qpos0[at])
+    link.axis, ref = _direction(axis, model.jnt_axis[joint]), float(model.qpos0[at])
     link.rest, link.qpos0 = np.array([model.qpos_spring[at], 0.0, 0.0, 0.0]), np.array([ref])
     if link.joint == Joint.PRISMATIC:
         link.position = link.position - quat_matrix(link.rotation) @ link.axis * ref

@@ -42,7 +42,9 @@ _SAID = (
     (r"(.*)", r"\1", "what MuJoCo's XML reference says"),
 )
 _ORIENTATIONS = ("quat", "euler", "axisangle", "xyaxes", "zaxis")
-_DEEPEST = 40  # bodies inside one another; MuJoCo's time to compile a chain grows with the cube of its length
+# Bodies inside one another: MuJoCo's time to compile a chain grows with the cube of its length, and its XML reader
+# stops at 500. A body without a joint may give mass to the one it hangs on, which makes it the second choice.
+_DEEP, _DEEPEST = 10, 400
 
 
 @dataclass
@@ -209,7 +211,7 @@ def _write_element(source: Source, top: Element, tail: list[tuple[int, Element]]
             source.add(element, f"</{element.tag}>")
             continue
         childclass = element.attrib.get("childclass", childclass)
-        if depth >= _DEEPEST and above == "body" and element.tag == "body" and element.find("joint"):
+        if above == element.tag == "body" and depth >= (_DEEP if element.find("joint") else _DEEPEST):
             inherited = {"childclass": childclass} if childclass else {}
             tail.append((source.add(element, "<body/>"), replace(element, attrib=element.attrib | inherited)))
             continue
