@@ -130,8 +130,8 @@ def perception(found: Last) -> str:
     body.append(["PointNet++ (sampling left out), four clouds", "", _us(learnt.peer), _whole(learnt.ratio)])
     worlds, occlusion = (found.get("worlds", what).value for what in ("number", "mean occlusion"))
     head = f"""Microseconds per world and step on one core, 512 points per cloud, noise on, {worlds:.0f} random
-        worlds (mean occlusion {occlusion:.2f}), medians of interleaved runs; one torch thread does the same on the same points
-        ({origin("perception", found, "warp", "torch")}):"""
+        worlds (mean occlusion {occlusion:.2f}), medians of interleaved runs; one torch thread does the same on the same
+        points ({origin("perception", found, "warp", "torch")}):"""
     return paragraph(head) + "\n\n" + lines([["", "bough", "torch", "ratio"], *body])
 
 

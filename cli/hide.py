@@ -13,7 +13,7 @@ from .exit_codes import ExitCode
 class Hide:
     """Record a case with hidden effects in MuJoCo; write the folder and, beside it, the true values: OUT_answer.json.
 
-    Needs MuJoCo: pip install 'bough[oracle]'. Exit code 0: done; 2: bad input, nothing written.
+    Exit code 0: done; 2: bad input, nothing written.
 
     Attributes:
         out: Case folder to write.

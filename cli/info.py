@@ -12,8 +12,8 @@ from importlib.util import find_spec
 from ..sim.base.console import bar, start_warp
 from .exit_codes import ExitCode
 
-_PACKAGES = ("warp-lang", "numpy", "torch", "newton")
-_EXTRAS = {"train": "rsl_rl", "taichi": "taichi", "usd": "pxr", "oracle": "mujoco"}
+_PACKAGES = ("warp-lang", "numpy", "torch", "newton", "mujoco")
+_EXTRAS = {"train": "rsl_rl", "taichi": "taichi", "usd": "pxr"}
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
+from ...sim.base.errors import InputError
 from ...sim.base.strict_yaml import YamlFile, nearest
-from ...sim.formats.mjcf_bodies import Body, read_bodies
-from ...sim.formats.mjcf_document import read_document
+from ...sim.formats.import_mjcf import load_mjcf
+from ...sim.trees.tree import Joint
 from .schema import InputMeta, JointMeta, JointSpecMeta, OutputMeta
 
 
@@ -122,6 +125,8 @@ class JointSetup:
 #: What may be unknown of a mechanism from an MJCF file; see `learn.systems.mechanism`.
 UNKNOWN = ("damping", "stiffness", "armature", "preload", "mass", "com", "inertia", "length")
 
+_TYPES: dict[Joint, Literal["revolute", "prismatic"]] = {Joint.REVOLUTE: "revolute", Joint.PRISMATIC: "prismatic"}
+
 #: Samples a period of the cut-off where ``filter_hz`` is not given.
 FILTER_SAMPLES = 20.0
 
@@ -169,28 +174,19 @@ def case_joints(meta: JointMeta, folder: Path) -> tuple[JointAxis, ...]:
     """Return the joints of a case.
 
     Raises:
-        InputError: The MJCF file cannot be read or has a joint that neither turns about nor slides along an axis.
+        InputError: The MJCF file is refused by `load_mjcf` or has a joint that neither turns about nor slides along an
+            axis.
     """
     if meta.mechanism.mjcf is None:
         return tuple(_joint(i, spec) for i, spec in enumerate(meta.mechanism.joints or ()))
-    axes: list[JointAxis] = []
-    link = 0
-    for body in read_bodies(read_document(folder / meta.mechanism.mjcf)):
-        axes += _axes(body, link)
-        link += max(1, len(body.joints))
+    mechanism, axes = load_mjcf(folder / meta.mechanism.mjcf), []
+    for link in np.flatnonzero(mechanism.tree.joint != Joint.FIXED).tolist():
+        kind = _TYPES.get(Joint(mechanism.tree.joint[link]))
+        if kind is None:
+            found, allowed = "a ball joint in a measured mechanism", "hinge or slide joints"
+            raise InputError(folder / meta.mechanism.mjcf, mechanism.joint_place[link], found, allowed)
+        axes.append(JointAxis(mechanism.joint_name[link] or f"joint{link}", kind, link))
     return tuple(axes)
-
-
-def _axes(body: Body, first: int) -> list[JointAxis]:
-    """Return the joints of a body, whose links `load_mjcf` numbers from ``first`` on."""
-    out = []
-    for k, (joint, _) in enumerate(body.joints):
-        kind = joint.attrib.get("type", "hinge")
-        if kind not in ("hinge", "slide"):
-            raise joint.error(f"a {kind} joint in a measured mechanism", "hinge or slide joints")
-        name = joint.attrib.get("name", f"joint{first + k}")
-        out.append(JointAxis(name, "revolute" if kind == "hinge" else "prismatic", first + k))
-    return out
 
 
 def _joint(link: int, spec: JointSpecMeta) -> JointSpec:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from ...sim.base.errors import InputError
+from ...sim.base.mujoco_log import without_log
 from .drive import drive
 from .names import NAMES, OUTSIDE, RECIPES, equivalents
 from .parts import Part, Readings, Scale
 from .probes import Experiment, recorded, truth, write_case
-from .rig import engine
 from .sizing import Bench, readings, strength, visible_gap
 
 #: Sizes of effects: rms change of displacement at the true springs, over its rms; log-uniform between these.
@@ -78,14 +77,13 @@ def hide(
         reach: Peak displacement aimed at, as a fraction of the branch's length.
 
     Raises:
-        InputError: A name or a number is not allowed, MuJoCo is missing, or the folder cannot be written.
+        InputError: A name or a number is not allowed, or the folder cannot be written.
     """
     names = (*effects, *([outside] if outside else []))
     _check(effects, outside, joint, segments, noise, rate, samples, size)
-    engine()
     experiment = Experiment(seed, segments, rate, samples, reach)
     options: dict[str, Any] = {"sub": sub, "wood": wood}
-    with _silent():
+    with without_log():  # a strength that is too great is found out by its numbers
         if names:
             found, seen = _hidden(experiment, names, joint, size, options, dt)
             gap = visible_gap(experiment, seen, options)
@@ -164,17 +162,6 @@ def _answer(
                     "n_traj": len(experiment.recordings), "rate": experiment.rate},
         "visible_gap": round(gap, 5),
     }  # fmt: skip
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """Keep MuJoCo from writing a log where we run: a strength that is too great is found out by its numbers."""
-    mujoco, _ = engine()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(None)
 
 
 def _check(

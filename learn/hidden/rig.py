@@ -13,21 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...sim.base.errors import InputError
 from .branch import TRUNK_PIVOT, Array, Branch, frustum_mass, unit
 
 
 def engine() -> tuple[ModuleType, ModuleType]:
-    """Return the modules ``mujoco`` and ``mujoco.rollout``.
+    """Return the modules ``mujoco`` and ``mujoco.rollout``, which are slow to import."""
+    import mujoco
+    from mujoco import rollout
 
-    Raises:
-        InputError: MuJoCo is not installed.
-    """
-    try:
-        import mujoco
-        from mujoco import rollout
-    except ImportError:
-        raise InputError("mujoco", "", "no such package", "the hidden simulator: pip install 'bough[oracle]'") from None
     return mujoco, rollout
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from ..base.errors import InputError
 from ..base.rotation import axis_angle_quat, quat_multiply, quat_rotate
 from ..base.types import Array
-from ..formats.mjcf_inertia import MassProperties, combined
+from ..trees.inertia import MassProperties, combined
 from ..trees.tree import Joint, Tree
 from .arm import SERVO_GAIN, Arm
 

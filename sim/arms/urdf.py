@@ -16,8 +16,8 @@ from ..base.errors import InputError
 from ..base.rotation import quat_conjugate, quat_multiply, quat_rotate
 from ..base.types import Array
 from ..formats.import_urdf import _KINDS, _joint_values, _joints, _link_values, _links, _origin, _without_world
-from ..formats.mjcf_inertia import MassProperties, Pose, combined
 from ..formats.xml_tree import Element, read_xml
+from ..trees.inertia import MassProperties, Pose, combined
 from ..trees.pose import pose, zero_qpos
 from ..trees.tree import Joint, Tree
 from .arm import SERVO_GAIN, Arm

@@ -1,29 +1,33 @@
-"""Import of MJCF: a `Tree` with the bodies, poses, joints and masses that C MuJoCo compiles from the same file.
+"""Import of MJCF: a `Tree` with the bodies, poses, joints and masses that MuJoCo's own compiler makes of the file.
 
-Bodies, joints and primitive geoms are read here, in float64; meshes go through Newton's importer. Newton 1.8's
-``add_mjcf`` was measured against C MuJoCo 4.0 first and cannot be the base: it keeps float32, puts bodies inside
-``<frame>`` after their siblings, sorts several joints of one body by kind and gives them one common anchor, stops at
-boxes and ellipsoids given by ``fromto``, and leaves out ``settotalmass`` and ``shellinertia``.
+MuJoCo reads and compiles in float64. Newton 1.8's ``add_mjcf`` was measured against it and cannot take its place: it
+keeps float32, puts bodies inside ``<frame>`` after their siblings, sorts several joints of one body by kind and gives
+them one common anchor, stops at boxes and ellipsoids given by ``fromto``, and leaves out ``settotalmass`` and
+``shellinertia``.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.mujoco_log import without_log
 from ..base.rotation import axis_angle_quat, quat_matrix, quat_multiply, quat_rotate
 from ..base.types import Array
 from ..trees.tree import Joint, Tree
-from .mjcf_bodies import Body, read_bodies
-from .mjcf_document import IDENTITY, Document, read_document, unit
-from .mjcf_features import ignored_features, refuse_unsupported
-from .mjcf_inertia import Pose
-from .xml_tree import Element
+from .mjcf_features import disabled, ignored_features, keep_bodies, line_of, refuse_unsupported
+from .mjcf_source import Source, read_source
 
-_KINDS = {"hinge": Joint.REVOLUTE, "slide": Joint.PRISMATIC, "ball": Joint.SPHERICAL}
+_IDENTITY = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+_KINDS = {1: Joint.SPHERICAL, 2: Joint.PRISMATIC, 3: Joint.REVOLUTE}  # by MuJoCo's mjtJoint
+_SPHERE = 2  # in MuJoCo's mjtGeom
+_CAPSULES = (_SPHERE, 3, 5)  # with capsule and cylinder
+_SAME = 1e-13  # relative difference by which the compiler's own rounding can move what the file states
 
 
 @dataclass
@@ -36,12 +40,16 @@ class Mechanism:
         qpos0: Coordinates in which the file draws the mechanism, MuJoCo's order, shape [num_coordinates]; zero, and
             the identity for spherical joints, unless joints have a ``ref``.
         ignored: Short descriptions of features that were left out.
+        joint_name: Name of each link's joint in the file, length L; empty for a fixed link and a nameless joint.
+        joint_place: Where in the file each link's joint stands, for messages, length L; empty for a fixed link.
     """
 
     tree: Tree
     gravity: Array
     qpos0: Array
     ignored: list[str] = field(default_factory=list)
+    joint_name: list[str] = field(default_factory=list)
+    joint_place: list[str] = field(default_factory=list)
 
 
 @dataclass
@@ -63,6 +71,7 @@ class Link:
     axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     rest: Array = field(default_factory=lambda: np.zeros(4))
     qpos0: Array = field(default_factory=lambda: np.zeros(0))
+    number: int = -1  # of the joint in MuJoCo's model
 
 
 def load_mjcf(path: str | Path) -> Mechanism:
@@ -76,96 +85,135 @@ def load_mjcf(path: str | Path) -> Mechanism:
         InputError: The file cannot be read, is no valid MJCF, or holds physics a `Tree` cannot express (free joints,
             closed loops, springy tendons, flexible bodies, gravity compensation, negative masses ...).
     """
-    document = read_document(path)
-    refuse_unsupported(document)
-    bodies = read_bodies(document)
+    source = read_source(path)
+    spec, model = _compile(source, Path(path).resolve().parent)
+    bodies = _depth_first(source, spec, model)
     if not bodies:
         raise InputError(path, "<worldbody>", "no bodies", "at least one <body>")
-    links, body_link = _make_links(document, bodies)
-    tree = _make_tree(document.root.attrib.get("model", Path(path).stem), links)
-    capsules = [(body_link[i], c) for i, body in enumerate(bodies) for c in body.capsules]
-    tree = tree.with_(
-        preload=_preload(document, len(links)),
-        shape_link=np.array([link for link, _ in capsules], dtype=np.int64),
-        shape_start=np.array([c.start for _, c in capsules]).reshape(-1, 3),
-        shape_end=np.array([c.end for _, c in capsules]).reshape(-1, 3),
-        shape_radius=np.array([[c.radius, c.radius] for _, c in capsules]).reshape(-1, 2),
-    )
+    links, body_link = _make_links(spec, model, bodies)
+    tree = _make_tree(source.root.attrib.get("model", Path(path).stem), links)
+    tree = tree.with_(preload=_preload(source, len(links)), **_capsules(model, body_link))
+    gravity = np.zeros(3) if disabled(model, "GRAVITY") else model.opt.gravity.copy()
     qpos0 = np.concatenate([link.qpos0 for link in links])
-    joints = [joint for body in bodies for joint, _ in body.joints]
-    ignored = ignored_features(document, joints, [geom for body in bodies for geom, _ in body.geoms])
-    return Mechanism(tree.validate(str(path)), _gravity(document), qpos0, ignored)
+    ignored = ignored_features(source, model)
+    return Mechanism(tree.validate(str(path)), gravity, qpos0, ignored, *_joints(source, spec, links))
 
 
-def _preload(document: Document, count: int) -> Array:
+def _compile(source: Source, folder: Path) -> tuple[Any, Any]:
+    """MuJoCo's description of the file and the model that it compiles of the bodies; files are sought in ``folder``.
+
+    Raises:
+        InputError: MuJoCo refuses the file, or it holds what a tree cannot express.
+    """
+    import mujoco  # not needed by those who read no MJCF
+
+    with without_log(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a simulation, which this is not
+        try:
+            spec = mujoco.MjSpec.from_string("\n".join(source.lines))
+            spec.modelfiledir = str(folder)
+            refuse_unsupported(source, spec)
+            keep_bodies(spec)
+            return spec, spec.compile()
+        except InputError:
+            raise
+        except (ValueError, RuntimeError, mujoco.FatalError) as e:
+            raise source.refusal(str(e)) from None
+
+
+def _depth_first(source: Source, spec: Any, model: Any) -> list[tuple[int, int]]:
+    """Bodies and their parents (0 is the world) in MuJoCo's order, those cut out of deep chains back in their place."""
+    bodies = {line_of(body): body.id for body in spec.bodies[1:]} if source.moved else {}
+    moved = {bodies[hole]: bodies[body] for hole, body in source.moved.items()}
+    away = set(moved.values())
+    children: list[list[int]] = [[] for _ in range(model.nbody)]
+    for body in range(model.nbody - 1, 0, -1):
+        if body not in away:
+            children[model.body_parentid[body]].append(moved.get(body, body))
+    out, todo = [], [(body, 0) for body in children[0]]
+    while todo:
+        out.append(todo.pop())
+        body = out[-1][0]
+        todo += [(child, body) for child in children[body]]
+    return out
+
+
+def _preload(source: Source, count: int) -> Array:
     """Constant joint forces [N m or N], shape [count, 3], which bough's own export keeps in ``<custom>``."""
-    for item in document.sections("custom"):
+    for item in source.section("custom"):
         if item.tag == "numeric" and item.attrib.get("name") == "bough_preload":
             return item.vector("data", 3 * count).reshape(count, 3)
     return np.zeros((count, 3))
 
 
-def _gravity(document: Document) -> Array:
-    gravity = np.array([0.0, 0.0, -9.81])
-    for option in document.root.find_all("option"):
-        gravity = option.vector("gravity", 3, list(gravity))
-    return gravity * float(document.flag("gravity"))
-
-
-def _make_links(document: Document, bodies: list[Body]) -> tuple[list[Link], list[int]]:
+def _make_links(spec: Any, model: Any, bodies: list[tuple[int, int]]) -> tuple[list[Link], dict[int, int]]:
     """Links of all bodies and the index of each body's own link."""
     links: list[Link] = []
-    body_link: list[int] = []
-    names = _names(bodies)
-    for body, name in zip(bodies, names, strict=True):
-        parent, pose = (body_link[body.parent] if body.parent >= 0 else -1), body.pose
-        joints: list[tuple[Element | None, Pose]] = list(body.joints) or [(None, IDENTITY)]
-        for k, (joint, frame) in enumerate(joints):
-            last = k == len(joints) - 1
-            link_name = name if last or joint is None else f"{name}:{joint.attrib.get('name', k)}"
-            link = Link(link_name, parent, Joint.FIXED, *pose)
-            if joint is not None:
-                _set_joint(document, link, joint, frame)
+    body_link = {0: -1}
+    by_number = {body.id: body for body in spec.bodies}
+    axes = {joint.id: joint.axis for joint in spec.joints}
+    for (body, parent), name in zip(bodies, _names(model, bodies), strict=True):
+        written, above = by_number[body], body_link[parent]
+        pose = model.body_pos[body].copy(), _direction(written.quat, model.body_quat[body])
+        joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+        for k, joint in enumerate(joints or [-1]):
+            link = Link(name, above, Joint.FIXED, *pose)
+            if joint >= 0:
+                _set_joint(model, link, joint, axes[joint])
+                if k < len(joints) - 1:
+                    link.link_name = f"{name}:{model.joint(joint).name or k}"
             links.append(link)
-            parent, pose = len(links) - 1, IDENTITY
-        links[-1].mass, links[-1].com, links[-1].inertia = body.matter.mass, body.matter.com, body.matter.inertia
-        body_link.append(len(links) - 1)
+            above, pose = len(links) - 1, _IDENTITY
+        links[-1].mass, links[-1].com = float(model.body_mass[body]), model.body_ipos[body].copy()
+        links[-1].inertia = _inertia(model, body, written.fullinertia)
+        body_link[body] = len(links) - 1
     return links, body_link
 
 
-def _names(bodies: list[Body]) -> list[str]:
-    """Names of the bodies; a nameless one is called ``body<id>`` after its number in MuJoCo."""
-    taken: set[str] = {"world"}
-    for body in bodies:
-        name = body.element.attrib.get("name", "")
-        if name and name in taken:
-            raise body.element.error(f"the name '{name}' twice", "unique body names, other than 'world'")
-        taken.add(name)
-    names = []
-    for i, body in enumerate(bodies):
-        name = body.element.attrib.get("name", "") or f"body{i + 1}"
-        while not body.element.attrib.get("name") and name in taken:
-            name += "_"
-        names.append(name)
+def _names(model: Any, bodies: list[tuple[int, int]]) -> list[str]:
+    """Names of the bodies; a nameless one is called ``body<number>`` after its place in MuJoCo's order."""
+    given = [model.body(body).name for body, _ in bodies]
+    taken, names = set(given), []
+    for i, name in enumerate(given):
+        new = name or f"body{i + 1}"
+        while not name and new in taken:
+            new += "_"
+        names.append(new)
     return names
 
 
-def _set_joint(document: Document, link: Link, joint: Element, frame: Pose) -> None:
+def _inertia(model: Any, body: int, written: Array) -> Array:
+    """Inertia of a body about its centre of mass in its own axes [kg m^2], shape [3, 3]."""
+    R = quat_matrix(model.body_iquat[body])
+    inertia = R @ np.diag(model.body_inertia[body]) @ R.T
+    xx, yy, zz, xy, xz, yz = written  # NaN if the file has none
+    return _as_written(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), inertia)
+
+
+def _as_written(written: Array, compiled: Array) -> Array:
+    """Return what the file states, to its last digit, where the compiler did no more than round it."""
+    same = np.allclose(written, compiled, rtol=0.0, atol=_SAME * np.abs(compiled).max())
+    return np.array(written if same else compiled)
+
+
+def _direction(written: Array, compiled: Array) -> Array:
+    """Return a unit axis or quaternion as the file states it, or as frames and other ways to write it make it."""
+    return _as_written(written / np.linalg.norm(written), compiled)
+
+
+def _set_joint(model: Any, link: Link, joint: int, axis: Array) -> None:
     """Fill in a link's joint; the pose, given at ``qpos = ref``, is taken back to ``qpos = 0``."""
-    link.joint = _KINDS[joint.keyword("type", "hinge", tuple(_KINDS))]
-    link.anchor = frame[0] + quat_rotate(frame[1], joint.vector("pos", 3, [0.0, 0.0, 0.0]))
-    link.stiffness = float(joint.vector("stiffness", 3, [0.0], at_least=1)[0]) * document.flag("spring")
-    link.damping = float(joint.vector("damping", 3, [0.0], at_least=1)[0]) * document.flag("damper")
-    link.armature = joint.positive("armature", 0.0)
+    dof, at = model.jnt_dofadr[joint], model.jnt_qposadr[joint]
+    link.joint, link.number = _KINDS[int(model.jnt_type[joint])], joint
+    link.anchor = model.jnt_pos[joint].copy()
+    link.stiffness = 0.0 if disabled(model, "SPRING") else float(model.jnt_stiffness[joint])
+    link.damping = 0.0 if disabled(model, "DAMPER") else float(model.dof_damping[dof])
+    link.armature = float(model.dof_armature[dof])
     if link.joint == Joint.SPHERICAL:
-        link.rest = link.qpos0 = IDENTITY[1]
+        link.rest = link.qpos0 = _IDENTITY[1]
         return
-    axis = joint.vector("axis", 3, [0.0, 0.0, 1.0])
-    link.axis = quat_rotate(frame[1], unit(joint, "axis", axis))
-    angle = document.angle_unit if link.joint == Joint.REVOLUTE else 1.0
-    ref = joint.number("ref", 0.0) * angle
-    link.rest = np.array([joint.number("springref", 0.0) * angle, 0.0, 0.0, 0.0])
-    link.qpos0 = np.array([ref])
+    link.axis, ref = _direction(axis, model.jnt_axis[joint]), float(model.qpos0[at])
+    link.rest, link.qpos0 = np.array([model.qpos_spring[at], 0.0, 0.0, 0.0]), np.array([ref])
     if link.joint == Joint.PRISMATIC:
         link.position = link.position - quat_matrix(link.rotation) @ link.axis * ref
     else:
@@ -174,7 +222,30 @@ def _set_joint(document: Document, link: Link, joint: Element, frame: Pose) -> N
         link.rotation = quat_multiply(link.rotation, back)
 
 
+def _joints(source: Source, spec: Any, links: list[Link]) -> tuple[list[str], list[str]]:
+    """Names of the links' joints and where they stand."""
+    joints = {joint.id: joint for joint in spec.joints}
+    found = [joints.get(link.number) for link in links]
+    places = [source.element(line_of(joint)).place if joint else "" for joint in found]
+    return [joint.name if joint else "" for joint in found], places
+
+
 def _make_tree(name: str, links: list[Link]) -> Tree:
-    columns = [key for key in vars(links[0]) if key not in ("link_name", "qpos0")]
+    columns = [key for key in vars(links[0]) if key not in ("link_name", "qpos0", "number")]
     arrays = {key: np.array([getattr(link, key) for link in links]) for key in columns}
     return Tree(name=name, link_name=[link.link_name for link in links], **arrays)
+
+
+def _capsules(model: Any, body_link: dict[int, int]) -> dict[str, Array]:
+    """Shapes of the tree, for drawing and contact: spheres, capsules and cylinders, link by link."""
+    link = np.array([body_link[body] for body in model.geom_bodyid], dtype=np.int64)
+    geoms = np.flatnonzero(np.isin(model.geom_type, _CAPSULES))
+    geoms = geoms[np.argsort(link[geoms], kind="stable")]
+    half = np.where(model.geom_type[geoms] == _SPHERE, 0.0, model.geom_size[geoms, 1])
+    reach = quat_rotate(model.geom_quat[geoms], half[:, None] * np.array([0.0, 0.0, 1.0]))
+    return {
+        "shape_link": link[geoms],
+        "shape_start": model.geom_pos[geoms] - reach,
+        "shape_end": model.geom_pos[geoms] + reach,
+        "shape_radius": np.repeat(model.geom_size[geoms, :1], 2, axis=1),
+    }

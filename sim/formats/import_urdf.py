@@ -18,10 +18,10 @@ import numpy as np
 from ..base.errors import InputError
 from ..base.rotation import axis_angle_quat, quat_multiply, quat_rotate
 from ..base.types import Array
+from ..trees.inertia import MassProperties
 from ..trees.pose import zero_qpos
 from ..trees.tree import Joint, Tree
 from .import_mjcf import Mechanism
-from .mjcf_inertia import MassProperties
 from .xml_tree import Element, read_xml
 
 _KINDS = {
@@ -60,7 +60,9 @@ def load_urdf(path: str | Path) -> Mechanism:
     if tree.num_links == 0:
         raise root.error("no link besides the world", "at least one <link>")
     gravity = np.array([0.0, 0.0, -9.81])
-    return Mechanism(tree.validate(str(path)), gravity, zero_qpos(tree), _ignored(joints))
+    named = [joints.get(name) for name in tree.link_name]
+    names, places = [j.text("name") if j else "" for j in named], [j.place if j else "" for j in named]
+    return Mechanism(tree.validate(str(path)), gravity, zero_qpos(tree), _ignored(joints), names, places)
 
 
 def _links(root: Element) -> dict[str, Element]:

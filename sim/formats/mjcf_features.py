@@ -1,116 +1,113 @@
-"""Which MJCF features a `Tree` can express, which are left out with a word, and which are refused."""
+"""Which MJCF features a `Tree` can express, which are left out with a word, and which are refused.
+
+`mjSpec` is MuJoCo's own description of a file that it has read and not yet compiled: default classes are resolved and
+replicated bodies made, so a check need not know the language.
+"""
 
 from __future__ import annotations
 
-from .mjcf_document import Document
+import re
+from typing import Any
+
+import numpy as np
+
+from ..base.errors import InputError
+from .mjcf_source import Source
 from .xml_tree import Element
 
-_POSE = "pos quat euler axisangle xyaxes zaxis"
-_ALLOWED = {
-    "body": f"name childclass mocap fuse gravcomp simple sleep user {_POSE}",
-    "frame": f"name childclass {_POSE}",
-    "inertial": f"mass diaginertia fullinertia {_POSE}",
-    "joint": "name class type group pos axis springdamper limited actuatorfrclimited actuatorfrcrange actuatorgravcomp "
-    "solreflimit solimplimit solreffriction solimpfriction stiffness range margin ref springref springyield armature "
-    "damping frictionloss user",
-    "geom": "name class type contype conaffinity condim group priority size material friction mass density "
-    "shellinertia solmix solref solimp margin gap adhesion surfacevel fromto hfield mesh fitscale rgba fluidshape "
-    f"fluidcoef castshadow user {_POSE}",
-}
-_BODY_CHILDREN = "body frame inertial joint freejoint geom site camera light"
 _TENDON_PHYSICS = ("stiffness", "damping", "frictionloss", "armature", "range")
+_JOINT_PHYSICS = ("stiffness", "damping", "armature", "frictionloss")
 
 
-def check_attributes(element: Element) -> None:
-    """Refuse unknown attributes and unknown children of body, frame, joint, geom and inertial elements.
-
-    Raises:
-        InputError: There is one.
-    """
-    element.check_attributes(_ALLOWED[element.tag])
-    if element.tag in ("body", "frame"):
-        for child in element.children:
-            _check_child(child)
-        if element.number("gravcomp", 0.0) != 0:
-            raise element.error(f"gravcomp='{element.attrib['gravcomp']}'", "bodies under full gravity")
-    elif element.children:
-        raise element.children[0].error(f"a <{element.children[0].tag}> in a <{element.tag}>", "nothing inside it")
+def line_of(item: Any) -> int:
+    """Line of the text from which MuJoCo made a part of its `mjSpec`, from 1; its body's if it does not know."""
+    return int(re.findall(r"\d+", item.info or item.parent.info)[-1])
 
 
-def _check_child(child: Element) -> None:
-    if child.tag not in _BODY_CHILDREN.split():
-        raise child.error(f"an unsupported element <{child.tag}>", ", ".join(_BODY_CHILDREN.split()))
-    if child.tag == "freejoint":
-        raise child.error("an unsupported free joint", "hinge, slide and ball joints")
-
-
-def check_joint(joint: Element) -> None:
-    """Refuse joints whose passive force is no linear spring and damper (class defaults already resolved).
+def refuse_unsupported(source: Source, spec: Any) -> None:
+    """Refuse features that change the motion and that a tree of joints with linear springs cannot express.
 
     Raises:
-        InputError: A free joint, a negative or nonlinear spring or damper, a yielding spring, ``springdamper``.
+        InputError: A free joint, a spring or damper that is negative or no straight line, ``springdamper``, gravity
+            compensation, a plane in a body, a closed loop or coupling (active equality), a tendon with a force.
     """
-    if joint.attrib.get("type") == "free":
-        raise joint.error("an unsupported free joint", "hinge, slide and ball joints")
-    for key in ("stiffness", "damping"):
-        values = joint.vector(key, 3, [0.0], at_least=1)
-        if values[0] < 0 or (values[1:] != 0).any():
-            raise joint.error(f"{key}='{joint.attrib[key]}'", "one number, zero or more")
-    if any(joint.vector("springdamper", 2, [0.0, 0.0]) != 0):
-        raise joint.error("springdamper", "stiffness and damping")
-    if any(joint.vector("springyield", 3, [0.0], at_least=1) != 0):
-        raise joint.error("springyield", "springs that do not yield")
+    for joint in spec.joints:
+        _check_joint(spec, joint, source.element(line_of(joint)))
+    for body in spec.bodies[1:]:
+        if body.gravcomp != 0:
+            raise source.element(line_of(body)).error(f"gravcomp='{body.gravcomp:g}'", "bodies under full gravity")
+    for geom in _of_bodies(spec):
+        if geom.type.name == "mjGEOM_PLANE":
+            raise source.element(line_of(geom)).error("a plane in a body", "planes in <worldbody> only")
+    for constraint in spec.equalities:
+        if constraint.active:
+            at = source.element(line_of(constraint))
+            raise at.error(f"an equality <{at.tag}> (a closed loop or coupling)", "a tree of joints")
+    for tendon in spec.tendons:
+        for key in _TENDON_PHYSICS:
+            if np.any(getattr(tendon, key)):
+                at = source.element(line_of(tendon))
+                raise at.error(f"a tendon with {key}", "tendons without force, or joint springs")
 
 
-def refuse_unsupported(document: Document) -> None:
-    """Refuse features outside the bodies that change the motion and that a tree of joints cannot express.
+def _check_joint(spec: Any, joint: Any, at: Element) -> None:
+    if joint.type.name == "mjJNT_FREE":
+        raise at.error("an unsupported free joint", "hinge, slide and ball joints")
+    for key in _JOINT_PHYSICS:
+        values = np.atleast_1d(getattr(joint, key))  # MuJoCo 4.0 has polynomials where 3 has numbers
+        if values[0] < 0 or values[1:].any():
+            raise at.error(
+                f"{key}='{' '.join(f'{v:g}' for v in np.trim_zeros(values, 'b'))}'", "one number, zero or more"
+            )
+    if np.any(joint.springdamper):
+        raise at.error("springdamper", "stiffness and damping")
+    if np.any(getattr(joint, "springyield", 0.0)):
+        raise at.error("springyield", "springs that do not yield")
 
-    Raises:
-        InputError: A closed loop or coupling (active equality), a tendon with a force, a flexible body.
+
+def _of_bodies(spec: Any) -> list[Any]:
+    """Geoms that belong to a body other than the world."""
+    return [geom for geom in spec.geoms if geom.parent != spec.worldbody]
+
+
+def keep_bodies(spec: Any) -> None:
+    """Take out of an `mjSpec` what neither moves bodies nor gives them mass.
+
+    Fixed bodies stay apart and every geom of a body stays, whatever the file's compiler settings say.
     """
-    for child in document.sections("worldbody"):
-        _check_child(child)
-        if child.tag in ("joint", "inertial"):
-            raise child.error(f"a <{child.tag}> of the world", "joints and inertias inside a <body>")
-    for constraint in document.sections("equality"):
-        if constraint.attrib.get("active", "true") != "false":
-            raise constraint.error(f"an equality <{constraint.tag}> (a closed loop or coupling)", "a tree of joints")
-    for flexible in document.sections("deformable"):
-        if flexible.tag == "flex":
-            raise flexible.error("a flexible body", "rigid bodies")
-    for tendon in document.sections("tendon"):
-        _check_tendon(document.resolved(tendon, "main", "tendon"))
+    bodies = _of_bodies(spec)
+    used = {name for geom in bodies for name in (geom.meshname, geom.hfieldname)}
+    world = [geom for geom in spec.geoms if geom.parent == spec.worldbody]
+    unused = [asset for asset in (*spec.meshes, *spec.hfields) if asset.name not in used]
+    for item in (*spec.tendons, *spec.equalities, *world, *unused):
+        spec.delete(item)
+    spec.compiler.fusestatic = spec.compiler.discardvisual = False
 
 
-def _check_tendon(tendon: Element) -> None:
-    for key in _TENDON_PHYSICS:
-        if key in tendon.attrib and tendon.vector(key, 3, at_least=1).any():
-            raise tendon.error(f"a tendon with {key}", "tendons without force, or joint springs")
-
-
-def ignored_features(document: Document, joints: list[Element], geoms: list[Element]) -> list[str]:
+def ignored_features(source: Source, model: Any) -> list[str]:
     """Short descriptions of what was left out and can change the motion.
 
     Lights, cameras, sites, materials, sensors and the like change nothing and are not listed.
     """
     counts = {
-        "joint limits": sum(_is_limited(document, joint) for joint in joints),
-        "joint friction": sum(joint.positive("frictionloss", 0.0) > 0 for joint in joints),
-        "actuators": len(list(document.sections("actuator"))),
-        "keyframes": len(list(document.sections("keyframe"))),
+        "joint limits": int(np.sum(model.jnt_limited)),
+        "joint friction": int(np.sum(model.dof_frictionloss[model.jnt_dofadr] > 0)),
+        "actuators": len(source.section("actuator")),
+        "keyframes": len(source.section("keyframe")),
     }
     out = [f"{name} ({count})" for name, count in counts.items() if count]
-    collide = [g for g in geoms if g.number("contype", 1) or g.number("conaffinity", 1)]
-    if collide and document.flag("contact"):
-        out.append(f"contacts ({len(collide)} geoms)")
-    for option in document.root.find_all("option"):
-        out += [f"fluid {key}" for key in ("density", "viscosity") if option.positive(key, 0.0) > 0]
+    collide = int(np.sum((model.geom_contype != 0) | (model.geom_conaffinity != 0)))
+    if collide and not disabled(model, "CONTACT"):
+        out.append(f"contacts ({collide} geoms)")
+    for key in ("density", "viscosity"):
+        if getattr(model.opt, key) < 0:
+            raise InputError(source.root.file, "<option>", f"{key}='{getattr(model.opt, key):g}'", "zero or more")
+        out += [f"fluid {key}"] * (getattr(model.opt, key) > 0)
     return out
 
 
-def _is_limited(document: Document, joint: Element) -> bool:
-    limited = joint.keyword("limited", "auto", ("auto", "true", "false"))
-    if limited == "auto":
-        auto = document.compiler.keyword("autolimits", "true", ("true", "false")) == "true"
-        return auto and bool(joint.vector("range", 2, [0.0, 0.0]).any())
-    return limited == "true"
+def disabled(model: Any, flag: str) -> bool:
+    """Whether the file disables one of MuJoCo's flags: CONTACT, DAMPER, GRAVITY, SPRING."""
+    import mujoco
+
+    return bool(model.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}"))

@@ -146,16 +146,16 @@ def test_ref_moves_the_pose_of_joint_zero(tmp_path):
 @pytest.mark.parametrize("kind", ["mesh", "box"])
 @pytest.mark.parametrize("weight", ['density="700"', 'mass="1.5"'])
 def test_mesh_masses_match_mujoco(tmp_path, kind, weight):
-    """Compare a body with a placed mesh (read through Newton, float32) and a sphere; also a box fitted to the mesh."""
+    """Compare a body with a placed mesh and a sphere; also a box fitted to the mesh."""
     asset = '<asset><mesh name="wedge" scale="2 1 1" vertex="0 0 0 1 0 0 0 .5 0 0 0 .3 1 .5 0"/></asset>'
     geom = f'<geom type="{kind}" mesh="wedge" {weight} pos=".1 .2 .3" euler="20 30 40"/>'
     text = f'<mujoco>{asset}<worldbody><body><joint/>{geom}<geom size=".1"/></body></worldbody></mujoco>'
     m, tree = mujoco.MjModel.from_xml_string(text), load_mjcf(_write(tmp_path, text)).tree
     R = quat_matrix(m.body_iquat[1])
-    np.testing.assert_allclose(tree.mass[0], m.body_mass[1], rtol=1e-5)
-    np.testing.assert_allclose(tree.com[0], m.body_ipos[1], atol=1e-6)
+    np.testing.assert_allclose(tree.mass[0], m.body_mass[1], rtol=ROUND_OFF)
+    np.testing.assert_allclose(tree.com[0], m.body_ipos[1], atol=ROUND_OFF)
     scale = m.body_inertia[1].max()
-    np.testing.assert_allclose(tree.inertia[0] / scale, R @ np.diag(m.body_inertia[1]) @ R.T / scale, atol=1e-5)
+    np.testing.assert_allclose(tree.inertia[0] / scale, R @ np.diag(m.body_inertia[1]) @ R.T / scale, atol=ROUND_OFF)
 
 
 def test_includes_are_pasted(tmp_path):
@@ -168,11 +168,60 @@ def test_includes_are_pasted(tmp_path):
     np.testing.assert_array_equal(mechanism.tree.damping, [7])
 
 
+def test_error_in_an_included_file_names_that_file_and_its_line(tmp_path):
+    """Name the included file and the line in it where MuJoCo's compiler stops, and what it found there."""
+    text = '<mujocoinclude>\n<body>\n<joint/>\n<geom type="capsule" size="-1 2"/>\n</body></mujocoinclude>'
+    _write(tmp_path, text, "body.xml")
+    with pytest.raises(InputError, match=r"body\.xml: line 4, <geom>: found size='-1 2' \(size 0 must be positive"):
+        _load(tmp_path, '<body><include file="body.xml"/></body>')
+
+
+def test_what_mujoco_makes_of_replicas_and_shells_is_read(tmp_path):
+    """Compare replicated bodies and a hollow ellipsoid, which has no closed form, with the whole model."""
+    body = '<body pos="1 0 0"><joint name="j"/><geom type="ellipsoid" size=".1 .2 .3" shellinertia="true"/></body>'
+    inside = f'<replicate count="4" euler="0 0 90" offset="0 0 .1">{body}</replicate><geom size=".1"/>'
+    text = f'<mujoco><worldbody><body name="hub"><joint/>{inside}</body></worldbody></mujoco>'
+    m, mechanism = mujoco.MjModel.from_xml_string(text), load_mjcf(_write(tmp_path, text))
+    assert m.nbody == 6 and mechanism.joint_name == ["", "j0", "j1", "j2", "j3"]
+    _compare_bodies(mechanism, m)
+    _compare_joints(mechanism, m)
+    _compare_poses(mechanism, m, np.random.default_rng(0))
+
+
+def test_files_of_pictures_and_of_the_world_may_be_missing(tmp_path, capfd):
+    """Need no file that gives no body mass, and leave neither a warning nor MuJoCo's log behind."""
+    assets = '<texture name="t" type="2d" file="no.png"/><material name="m" texture="t"/><mesh name="w" file="no.stl"/>'
+    before = f"<asset>{assets}</asset><sensor><user name='s' dim='1'/></sensor><keyframe><key name='k'/></keyframe>"
+    hinges = "<joint/><joint/>"  # about one axis: MuJoCo warns of a singular matrix
+    body = f'<geom type="mesh" mesh="w"/><body>{hinges}<geom size=".1" material="m"/></body>'
+    mechanism = _load(tmp_path, body, before)
+    assert mechanism.ignored == ["keyframes (1)", "contacts (1 geoms)"]
+    assert [p.name for p in tmp_path.iterdir()] == ["model.xml"] and capfd.readouterr().err == ""
+
+
 def test_long_chain_needs_no_recursion(tmp_path):
-    """Read a chain of 1500 bodies, deeper than Python's stack."""
-    body = '<body pos="0 0 1"><joint/><geom size=".1"/>' * 1500 + "</body>" * 1500
-    tree = _load(tmp_path, body).tree
-    assert tree.num_links == 1500 and tree.parent[-1] == 1498
+    """Read a chain of 1500 bodies, deeper than Python's stack and than MuJoCo's XML reader goes; also a rigid one."""
+    for joint in ("<joint/>", ""):
+        body = f'<body pos="0 0 1">{joint}<geom size=".1"/>' * 1500 + "</body>" * 1500
+        tree = _load(tmp_path, body).tree
+        assert tree.num_links == 1500 and tree.parent[-1] == 1498
+
+
+def test_deep_branching_tree_is_what_c_mujoco_compiles(tmp_path):
+    """Compare a tree 45 bodies deep, with side branches, frames and classes all the way down, with the whole model."""
+    default = '<default><default class="soft"><joint stiffness="2" damping=".1" type="ball"/></default></default>'
+    text = ""
+    for i in range(45, 0, -1):
+        attributes = f'name="b{i}" pos=".1 0 .2" euler="{i} 5 9"' + (' childclass="soft"' if i == 3 else "")
+        side = f'<body name="s{i}" pos="0 .3 0"><joint type="hinge"/><geom size=".05"/></body>'
+        last = f'<frame euler="0 0 20"><body name="f{i}"><joint/><geom size=".03"/></body></frame>'
+        text = f'<body {attributes}><joint ref="0"/><geom size=".1"/>{side}{text}{last}</body>'
+    text = f"<mujoco>{default}<worldbody>{text}</worldbody></mujoco>"
+    m, mechanism = mujoco.MjModel.from_xml_string(text), load_mjcf(_write(tmp_path, text))
+    assert [m.body(i).name for i in range(1, m.nbody)] == mechanism.tree.link_name
+    _compare_bodies(mechanism, m)
+    _compare_joints(mechanism, m)
+    _compare_poses(mechanism, m, np.random.default_rng(0))
 
 
 def test_left_out_features_are_named(tmp_path):
@@ -212,7 +261,7 @@ BAD_BODIES = {
     "nan": (f"<body pos='0 nan 0'>{BALL}</body>", "pos='0 nan 0'"),
     "two numbers": (f"<body pos='0 1'>{BALL}</body>", "pos='0 1'"),
     "zero quaternion": (f"<body quat='0 0 0 0'>{BALL}</body>", "length zero"),
-    "two orientations": (f"<body quat='1 0 0 0' euler='1 2 3'>{BALL}</body>", "quat and euler"),
+    "two orientations": (f"<body quat='1 0 0 0' euler='1 2 3'>{BALL}</body>", "quat='1 0 0 0' and euler='1 2 3'"),
     "zero axis": ("<body><joint axis='0 0 0'/><geom size='.1'/></body>", "length zero"),
     "misspelt attribute": ("<body><joint stifness='4'/><geom size='.1'/></body>", "stifness"),
     "unknown class": ("<body><joint class='no'/><geom size='.1'/></body>", "class='no'"),
