@@ -4,8 +4,8 @@
 
 512 points per cloud, R = 8, k = 200, noise on, random worlds: some occluded fully, some in part, some not at all; the
 arm near the line in some. Torch does the same on the same points with its vectorised operations: matmul, sin and cos,
-mean; cdist and topk. On a CPU both have one thread and are timed by the processor time they take; on a GPU by wall clock
-after a synchronisation. Rows are measured in turn, several times over; medians are printed.
+mean; cdist and topk. On a CPU both have one thread and are timed by the processor time they take; on a GPU by wall
+clock after a synchronisation. Rows are measured in turn, several times over; medians are printed.
 
 The PointNet++ encoder is PyTorch Geometric's (`PointNetConv`, the sizes of its classification example), if that is
 installed, else the same set abstraction in plain torch (`learn.thesis.chapter5.pointnet`). Farthest point sampling is
