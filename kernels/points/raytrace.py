@@ -26,9 +26,9 @@ REACH = wp.constant(20.0)  # radii of a cone within which it dims the sky
 class Solids:
     """What rays meet: round cones, leaves, and the plane z = ``ground``.
 
-    A leaf is flat: its rib goes from ``start`` to ``end``, ``side`` is its half-width square to it, its radii are zero.
-    Boxes of the three trees: ``seen`` holds outlines and half a pixel, ``lit`` half-shadows, ``near`` what dims the sky,
-    of the cones alone, which come first.
+    A leaf is flat: its rib goes from ``start`` to ``end``, ``side`` is its half-width, square to it; its radii are 0.
+    Boxes of the trees: ``seen`` holds solids and half a pixel, ``lit`` their half-shadows; ``near`` holds where cones,
+    which come first, dim the sky.
     """
 
     seen: wp.uint64
@@ -317,10 +317,16 @@ def sky_around(light: Light, normal: wp.vec3) -> wp.vec3:
 
 @wp.func
 def covered(near: Approach, wide: float) -> float:
-    """Share of a disc of radius ``wide`` about a ray that a capsule hides: across its strip, times along it."""
-    across = half_disc((near.gap + near.radius) / wide) - half_disc((near.gap - near.radius) / wide)
-    ahead, behind = (near.to_end + near.radius) / wide, (near.from_start + near.radius) / wide
-    return across * (half_disc(ahead) - half_disc(-behind))
+    """Share of a disc of radius ``wide`` about a ray that a capsule hides: across its strip, times along it.
+
+    Neighbours of a chain hide 1 - (1 - c a)^2 together where they join, if each hides the share c across and a along.
+    The strip ends so far beyond its end that this is c; a round end is seen where it is wider than the disc.
+    """
+    c = half_disc((near.gap + near.radius) / wide) - half_disc((near.gap - near.radius) / wide)
+    if c < 1.0e-5:
+        return 0.0
+    more = wp.max(near.radius / wide - 1.0, 0.0) + 0.5 * wp.pi * ((1.0 - wp.sqrt(wp.max(1.0 - c, 0.0))) / c - 0.5)
+    return c * (half_disc(near.to_end / wide + more) - half_disc(-near.from_start / wide - more))
 
 
 @wp.func

@@ -105,7 +105,7 @@ class _Stage:
         low, high, size = self.low, self.high, self.size
         middle, half = (low + high) / 2, max(high[0] - low[0], size) / 2
         position = (middle[0] - 0.1 * half, low[1] - 0.35 * half - 1.6 * size, self.ground + 0.8 * size)
-        return View(position, (middle[0], middle[1], self.ground + 0.45 * size), fov=50.0)
+        return View(position, (middle[0], middle[1], self.ground + 0.45 * size), fov=47.0)
 
     def rod_foot(self, view: View, aspect: float) -> Array:
         """Return the ground before the trees, on the right of a view, where the picture shows it."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -22,26 +22,27 @@ def round_length(length: float) -> float:
     return float(power * max(k for k in (1.0, 2.0, 5.0) if k * power <= length * (1 + 1e-9)))
 
 
-def rod(foot: Sequence[float], length: float) -> Solids:
+def rod(foot: Array, length: float) -> Solids:
     """Return an upright rod from ``foot`` [m], as thick as a thirtieth of its length, in red and white bands.
 
     The bands' balls reach over their ends; the rod is shorter by them, so that all of it measures ``length``.
     """
     radius = length / 60
     at = np.linspace(radius, length - radius, _BANDS + 1)
-    axis = np.asarray(foot) + at[:, None] * [0.0, 0.0, 1.0]
+    axis = foot + at[:, None] * [0.0, 0.0, 1.0]
     thick = np.full((_BANDS, 2), radius)
     return Solids.cones(axis[:-1], axis[1:], thick, _PAINT[np.arange(_BANDS) % 2])
 
 
-def caption(image: Image, view: View, foot: Sequence[float], length: float, note: str = "") -> Image:
+def caption(image: Image, view: View, foot: Array, length: float, note: str = "") -> Image:
     """Write a rod's length beside its top, and ``note`` into the lower left corner, on a copy of an sRGB picture."""
     height, width = image.shape[:2]
     canvas = PIL.Image.fromarray(image)
     draw = PIL.ImageDraw.Draw(canvas)
-    font = PIL.ImageFont.load_default(max(height // 36, 9))
-    column, row = view.pixels(np.asarray(foot) + [0.0, 0.0, length], width, height)
-    look = {"font": font, "fill": (20, 20, 20), "stroke_fill": (255, 255, 255), "stroke_width": max(height // 400, 1)}
-    draw.text((column, row - 0.3 * font.size), f"{length:g} m", anchor="mb", **look)
-    draw.text((0.6 * font.size, height - 0.6 * font.size), note, anchor="lb", **look)
+    size = max(height // 36, 9)
+    column, row = view.pixels(np.array([foot[0], foot[1], foot[2] + length]), width, height)
+    look: dict[str, Any] = {"font": PIL.ImageFont.load_default(size), "fill": (20, 20, 20)}
+    look |= {"stroke_fill": (255, 255, 255), "stroke_width": max(height // 400, 1)}
+    draw.text((column, row - 0.3 * size), f"{length:g} m", anchor="mb", **look)
+    draw.text((0.6 * size, height - 0.6 * size), note, anchor="lb", **look)
     return np.asarray(canvas)

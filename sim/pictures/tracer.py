@@ -56,7 +56,7 @@ class Solids:
 
     def leaf(self) -> NDArray[np.bool_]:
         """Tell which are leaves [C]."""
-        return self.side.any(axis=1)
+        return np.linalg.norm(self.side, axis=1) > 0.0
 
     def cones_first(self) -> Solids:
         """Return the same solids, leaves last."""
@@ -106,7 +106,7 @@ class Sunlight:
     softness: float = 0.7
     sun: tuple[float, float, float] = (4.8, 4.0, 2.9)
     zenith: tuple[float, float, float] = (0.05, 0.17, 0.52)
-    horizon: tuple[float, float, float] = (0.44, 0.57, 0.72)
+    horizon: tuple[float, float, float] = (0.38, 0.53, 0.72)
     glow: tuple[float, float, float] = (0.048, 0.030, 0.014)
     inside: tuple[float, float, float] = (0.09, 0.08, 0.06)
     haze: float = 0.0
@@ -120,7 +120,7 @@ class Sunlight:
 
 @dataclass(frozen=True)
 class Ground:
-    """The plane z = ``height`` [m]: albedo in linear light, squares of edge ``tile`` [m] that differ by ``contrast``."""
+    """The plane z = ``height`` [m] of linear albedo ``color``; squares of edge ``tile`` [m] vary it by ``contrast``."""
 
     height: float = 0.0
     color: tuple[float, float, float] = (0.17, 0.20, 0.085)
@@ -182,8 +182,8 @@ def _solids(
     trees = []
     for margin in _margins(solids, high[:, 2] - ground.height, view, light, pixel):
         part, room = slice(len(margin)), margin[:, None]
-        corners = [there(low[part] - room, wp.vec3), there(high[part] + room, wp.vec3)]
-        trees.append(wp.Bvh(*corners, constructor="sah" if device.is_cpu else None))
+        lowest, highest = there(low[part] - room, wp.vec3), there(high[part] + room, wp.vec3)
+        trees.append(wp.Bvh(lowest, highest, constructor="sah" if device.is_cpu else None))
     out.seen, out.lit, out.near = (tree.id for tree in trees)
     return out, trees
 
