@@ -104,7 +104,8 @@ class _Stage:
         """Look into the forest from before its edge, from a little above the crowns."""
         low, high, size = self.low, self.high, self.size
         middle, half = (low + high) / 2, max(high[0] - low[0], size) / 2
-        position = (middle[0] - 0.1 * half, low[1] - 0.35 * half - 1.6 * size, self.ground + 0.8 * size)
+        away = max(0.35 * half + 1.6 * size, 2.4 * size)  # the trees in front fit into 16:9
+        position = (middle[0] - 0.1 * half, low[1] - away, self.ground + 0.8 * size)
         return View(position, (middle[0], middle[1], self.ground + 0.45 * size), fov=47.0)
 
     def rod_foot(self, view: View, aspect: float) -> Array:
