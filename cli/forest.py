@@ -49,6 +49,7 @@ class Forest:
         format: File formats to write for every tree: tree_0000.xml, .urdf, .glb, .usda.
         seed: Seed of the noise; tree i depends on the seed and on i alone.
         picture_width: Width of forest.png [pixels]; 0 draws none.
+        leaves: Draw leaves on the outermost links: decoration, as the picture says; nothing of them is simulated.
     """
 
     out: Path
@@ -63,6 +64,7 @@ class Forest:
     format: tuple[Format, ...] = ("mjcf",)
     seed: int = 0
     picture_width: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 1600
+    leaves: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
 
     def run(self) -> int:
         """Write the forest and say so; return 0."""
@@ -204,7 +206,8 @@ def _draw(trees: list[Tree], path: Path, options: Forest) -> None:
 
     width = options.picture_width
     with bar("drawing forest.png", None):
-        render_forest(trees, path, width=width, height=round(width * _ASPECT), seed=options.seed)
+        height = round(width * _ASPECT)
+        render_forest(trees, path, width=width, height=height, leaves=options.leaves, seed=options.seed)
 
 
 def tree_height(tree: Tree) -> float:
@@ -230,7 +233,7 @@ def _described(tree: Tree, i: int, options: Forest) -> dict[str, Any]:
 def _plain(options: Forest) -> dict[str, Any]:
     """Return the options that decide what the trees are, as JSON can hold them."""
     kept = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
-    return {k: v for k, v in kept.items() if k not in ("out", "picture_width")}
+    return {k: v for k, v in kept.items() if k not in ("out", "picture_width", "leaves")}
 
 
 def _settled(options: Forest) -> Forest:

@@ -9,35 +9,41 @@ from numpy.typing import NDArray
 
 from ...sim.arms.simulator import ArmSimulator
 from ...sim.base.types import Array
-from ...sim.formats.export_mesh import capsules_mesh, level_color
-from ...sim.pictures.render import Mesh, Sunlight, View, develop, trace
+from ...sim.formats.export_mesh import level_color
+from ...sim.pictures.scale import caption, rod
+from ...sim.pictures.tracer import Ground, Solids, Sunlight, View, develop, trace
 from ...sim.scenes.scene import Scene
 
-WIDTH, HEIGHT, SAMPLES = 480, 360, 12
+WIDTH, HEIGHT, SAMPLES = 480, 360, 8
 ARM, LINE = (0.75, 0.75, 0.78), (0.70, 0.10, 0.08)
 """Colours of the arm and of the target, sRGB."""
 
 GROUND = (0.30, 0.31, 0.27)
 """Colour of the ground, linear light."""
 
+SCALE = 0.5
+"""Length of the rod that shows the scale, and edge of the squares on the ground [m]."""
+
 _EYE = 2.3  # distance of the camera from the middle [m]
 
 
 def world_picture(sim: ArmSimulator, scene: Scene, world: int) -> NDArray[np.uint8]:
-    """Return a picture of one world, seen from the side of the line that the arm is on, [height, width, 3]."""
+    """Return a picture of one world, seen from the side of the line that the arm is on, [height, width, 3].
+
+    A rod beside the arm's base, and as high up, shows the scale.
+    """
     start, end, radius, color = solids(sim, scene, world)
     used = radius > 0.0
-    thick = np.repeat(radius[used, None], 2, axis=1)
-    vertices, faces = capsules_mesh(start[used], end[used], thick, sides=10, cap_rings=3)
-    colors = np.repeat(color[used], len(vertices) // int(used.sum()), axis=0)
-    ground = min(0.0, float(_host(scene.root)[world, 2]))
-    mesh = Mesh(vertices, faces, colors, np.zeros(len(vertices)), ground, 1.0)
-    view = view_of(sim, scene, world)
+    bodies = Solids.cones(start[used], end[used], np.repeat(radius[used, None], 2, axis=1), color[used])
+    view, root = view_of(sim, scene, world), _host(scene.root)[world]
+    ground = Ground(min(0.0, float(root[2])), GROUND, SCALE, contrast=0.1)
     seen_from = np.subtract(view.position, view.target)
     azimuth = float(np.degrees(np.arctan2(seen_from[1], seen_from[0]))) + 40.0  # the sun is behind the viewer
-    radiance = trace(mesh, view, Sunlight(azimuth=azimuth, elevation=48.0), WIDTH, HEIGHT, samples=SAMPLES, detail=0.0,
-                     ground_color=GROUND, device=str(sim.model.device))  # fmt: skip
-    return develop(radiance)
+    foot = np.array([*(-0.35 * root[:2]), 0.0])
+    parts = Solids.joined([bodies, rod(foot, SCALE)])
+    radiance = trace(parts, ground, view, Sunlight(azimuth=azimuth, elevation=48.0), WIDTH, HEIGHT, samples=SAMPLES,
+                     device=str(sim.model.device))  # fmt: skip
+    return caption(develop(radiance), view, foot, SCALE)
 
 
 def _host(tensor: torch.Tensor) -> Array:

@@ -51,6 +51,15 @@ def test_forest_picture_shows_sky_wood_and_grass(forest):
     assert sky[2] > sky[0] and grass[1] > grass[2]
 
 
+def test_forest_draws_leaves_on_demand(bough, forest):
+    """Draw another, greener picture with --leaves, of the same trees."""
+    assert bough("forest", "--count", 3, "--seed", 5, "--picture-width", 320, "--leaves", "--out", "leafy").code == 0
+    bare, leafy = (np.asarray(PIL.Image.open(p), dtype=float) for p in (forest / "forest.png", "leafy/forest.png"))
+    assert (leafy[..., 1] - leafy[..., 2])[:120].mean() > (bare[..., 1] - bare[..., 2])[:120].mean()
+    with open("leafy/tree_0000.xml") as same:
+        assert same.read() == (forest / "tree_0000.xml").read_text()
+
+
 def test_forest_depends_on_seed_and_number_alone(bough, forest):
     """Grow the same first trees, to the byte, whatever the count; other ones from another seed."""
     again = bough("forest", "--count", 1, "--seed", 5, "--picture-width", 0, "--out", "again")
