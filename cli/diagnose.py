@@ -47,7 +47,8 @@ class Diagnose:
         settings.check()
         case = load_case(self.case)
         start_warp()
-        from ..learn.gap.diagnose import STAGES, diagnose  # torch and Warp, after what is quick to refuse
+        from ..learn.gap.diagnose import diagnose  # torch and Warp, after what is quick to refuse
+        from ..learn.gap.run import STAGES
 
         stages = {
             "fitting the base": 1,

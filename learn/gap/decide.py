@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ...sim.effects import effect_of
 from ..cases.case import BranchCase, JointCase
 from ..replay.equation_error import fits_torque
-from .contest import Contest
-from .search import Model, overdispersion, penalty
+from ..systems.acting import Acting
+from .diagnosis import Settings, VerdictName
+from .evidence import ALARM, lacks_fit
+from .models.field import QUIET, Field, Model
+from .prepare import Base
+from .search import Searched
 
-#: Family-wise p-value above which nothing is said to be missing.
-ALARM = 0.01
-#: Squares of the base's excess per number above which something is missing even where no candidate explains any of it:
-#: no estimate of the noise is so wrong.
-LACK = 1.0
-#: Squares per number up to which what is left passes for noise, whose size is itself an estimate; and the least share
-#: of the excess that named effects must explain then.
-QUIET, QUIET_EXPLAINED = 1.15, 0.7
 #: Least share of the base's excess that named effects must explain where what they leave is more than noise.
 EXPLAINED = 0.87
+#: The same where what is left passes for noise.
+QUIET_EXPLAINED = 0.7
 #: The same of joints that are measured directly: noise is a thousandth of the motion there, so that what a law misses
 #: of nature's own counts for much. 0.6 of the squares are a gap that is 1.6 times smaller.
 EXPLAINED_JOINT = 0.6
@@ -41,54 +39,52 @@ TWICE = 0.97
 TIED = 12.0
 
 
-@dataclass
-class Field:
-    """All models that were fitted to a case.
+@dataclass(frozen=True)
+class Decision:
+    """What the fitted models come to.
 
     Attributes:
-        contest: Where they were fitted.
+        verdict: ``none``, ``effects`` or ``unknown``.
         base: The base model.
-        models: With one effect and with more, in any order.
+        model: The model that is best worth its effects, claimed or not.
+        final: The repaired model: ``model``, or the base where nothing is missing.
+        named: Effects that are claimed.
+        alternatives: For each of them the names that this data cannot tell from it.
+        nearest: For ``unknown`` the closest name, not claimed; None where the case can say nothing.
     """
 
-    contest: Contest
+    verdict: VerdictName
     base: Model
-    models: list[Model]
-
-    @property
-    def best(self) -> Model:
-        """The model with the least squares."""
-        return min([self.base, *self.models], key=lambda m: m.chi2)
-
-    @property
-    def overdispersion(self) -> float:
-        """Squares left per number by the best model, at least one."""
-        return overdispersion(self.contest, self.best.chi2)
-
-    def criterion(self, model: Model) -> float:
-        """Return the information criterion of a model: misfit over the overdispersion, and what its parameters cost."""
-        return model.cost / self.overdispersion + penalty(self.contest, model.members)
-
-    def explained(self, model: Model) -> float:
-        """Return the share of the base's excess over the noise that a model explains.
-
-        The estimate of the noise may be a little large: the best model counts as noise where it leaves less.
-        """
-        excess = self.base.chi2 - min(float(self.contest.num_samples), self.best.chi2)
-        return (self.base.chi2 - model.chi2) / excess if excess > 0.0 else 0.0
-
-    def of_size(self, count: int) -> list[Model]:
-        """Return the models with a number of effects, by the information criterion."""
-        return sorted((m for m in self.models if len(m.members) == count), key=self.criterion)
-
-    def names(self, model: Model) -> tuple[str, ...]:
-        """Return the names of a model's effects."""
-        return tuple(self.contest.candidates[c].name for c in model.members)
+    model: Model
+    final: Model
+    named: tuple[Acting, ...] = ()
+    alternatives: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    nearest: str | None = None
 
 
-def needs_more(field: Field, model: Model) -> bool:
-    """Return whether a model leaves more than noise."""
-    return model.chi2 / field.contest.num_samples > 0.5 * (1.0 + QUIET)
+def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
+    """Return the verdict, the model that it rests on, and its names."""
+    models = searched.field
+    model = chosen(models, settings.max_effects)
+    verdict = _verdict(base, searched, model, settings.tolerance)
+    candidates = models.contest.candidates
+    if verdict == "effects":
+        named = tuple(candidates[c].acting for c in model.members)
+        return Decision(verdict, models.base, model, model, named, alternatives(models, model))
+    if verdict == "none":
+        return Decision(verdict, models.base, model, models.base)
+    nearest = None if base.unusable else candidates[leading(models, model)].name
+    return Decision(verdict, models.base, model, model, nearest=nearest)
+
+
+def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> VerdictName:
+    if base.unusable is not None:
+        return "unknown"
+    models = searched.field
+    small = searched.p_value > ALARM or size(models, model, base.motion) < tolerance
+    if small and not lacks_fit(models, tolerance * base.motion):
+        return "none"
+    return "effects" if known(models, model) else "unknown"
 
 
 def chosen(field: Field, most: int) -> Model:
@@ -97,24 +93,27 @@ def chosen(field: Field, most: int) -> Model:
     The base where nothing else was fitted.
     """
     best = _single(field)
-    share = FURTHER_SHARE_TORQUE if fits_torque(field.contest.case) else FURTHER_SHARE
-    worth = WORTH if isinstance(field.contest.case, BranchCase) else WORTH_JOINT
     for count in range(2, most + 1):
         further = field.of_size(count)
-        if not further:
+        if not further or not _worth_more(field, best, further[0]):
             break
-        trial = further[0]
-        left = best.chi2 - field.contest.num_samples
-        gained = field.criterion(best) - field.criterion(trial)
-        removed = best.chi2 - trial.chi2
-        if gained < FURTHER or removed < share * max(left, 0.0):
-            break
-        ends = needs_more(field, best) and removed > NEARLY_ALL * left
-        least = 0.5 * worth if removed > MOST * left else worth
-        if not ends and field.explained(trial) - field.explained(best) < least:
-            break
-        best = trial
+        best = further[0]
     return best
+
+
+def _worth_more(field: Field, best: Model, trial: Model) -> bool:
+    """Return whether a model is worth its one effect more: by the criterion, of what is left, and of the whole gap."""
+    case = field.contest.case
+    share = FURTHER_SHARE_TORQUE if fits_torque(case) else FURTHER_SHARE
+    worth = WORTH if isinstance(case, BranchCase) else WORTH_JOINT
+    left = best.chi2 - field.contest.num_samples
+    removed = best.chi2 - trial.chi2
+    if field.criterion(best) - field.criterion(trial) < FURTHER or removed < share * max(left, 0.0):
+        return False
+    if field.needs_more(best) and removed > NEARLY_ALL * left:
+        return True
+    least = 0.5 * worth if removed > MOST * left else worth
+    return field.explained(trial) - field.explained(best) >= least
 
 
 def _single(field: Field) -> Model:
@@ -127,19 +126,14 @@ def _single(field: Field) -> Model:
     return next((m for m in tied if set(m.members) <= set(pairs[0].members)), best)
 
 
-def size(field: Field, model: Model, rms: float) -> float:
+def size(field: Field, model: Model, motion: float) -> float:
     """Return the change of the motion that a model makes against the base, as a share of the motion's rms.
 
-    In units of the noise the rms change of all channels is the root of the squares per number it explains.
+    ``motion`` is that rms in units of the noise. In these units the rms change of all channels is the root of the
+    reduced chi-squared that the model explains.
     """
     gained = max(field.base.chi2 - model.chi2, 0.0) / field.contest.num_samples
-    return float(np.sqrt(gained)) / rms
-
-
-def lacks_fit(contest: Contest, base: Model, least: float) -> bool:
-    """Return whether a base leaves far more than noise, and more in all than the rms ``least``, in units of noise."""
-    excess = base.chi2 / contest.num_samples - 1.0
-    return excess > LACK and float(np.sqrt(excess)) > least
+    return float(np.sqrt(gained)) / motion
 
 
 def known(field: Field, model: Model) -> bool:
@@ -150,7 +144,7 @@ def known(field: Field, model: Model) -> bool:
     least = _least(field.contest.case)
     if isinstance(field.contest.case, BranchCase) and len(set(field.names(model))) < len(model.members):
         return field.explained(model) >= TWICE
-    if model.chi2 / field.contest.num_samples <= QUIET:
+    if field.reduced_chi2(model) <= QUIET:
         least = min(least, QUIET_EXPLAINED)
     return field.explained(model) >= least
 
@@ -192,8 +186,7 @@ def alternatives(field: Field, model: Model) -> dict[str, tuple[str, ...]]:
 def _as_good(field: Field, rival: Model, model: Model) -> bool:
     if field.criterion(rival) - field.criterion(model) < TIED:
         return True
-    leftover = model.chi2 / field.contest.num_samples
-    return leftover > QUIET and field.explained(rival) > field.explained(model) - 0.05
+    return field.reduced_chi2(model) > QUIET and field.explained(rival) > field.explained(model) - 0.05
 
 
 def probe_for(names: Sequence[str], rivals: Sequence[str]) -> str:

@@ -1,9 +1,8 @@
-"""Is the misfit more than noise, and which rivals hold where they were not fitted?"""
+"""Is the misfit of the base model more than noise? The best of all candidates against a parametric bootstrap."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,13 +11,50 @@ from scipy.stats import chi2
 from ...sim.base.types import Array
 from ..cases.case import BranchCase
 from ..replay.rollout import Rollout
-from .contest import Contest, Rows
-from .refit import Fits, fit
-from .scan import Scan
-from .setup import Base
+from .models.contest import Contest, Rows
+from .models.field import Field, overdispersion
+from .models.levels import first_look
+from .models.scan import Basis, Scan
+from .prepare import Base
+from .run import Run
 
-#: Simulated nulls, and steps of a refit without one profile.
-NULLS, REFIT = 48, 4
+#: Family-wise p-value above which nothing is said to be missing.
+ALARM = 0.01
+#: Excess of the base's reduced chi-squared over one above which something is missing even where no candidate explains
+#: any of it: no estimate of the noise is so wrong.
+LACK = 1.0
+#: Experiments that are simulated under the base model.
+NULLS = 48
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a scan of all candidates beside the base model says.
+
+    Attributes:
+        basis: What the base model can explain by itself.
+        scan: Gains of all candidates, measured and under the null hypothesis.
+        p_value: Family-wise p-value of the best candidate under the base model.
+    """
+
+    basis: Basis
+    scan: Scan
+    p_value: float
+
+
+def weigh(base: Base, run: Run) -> Evidence:
+    """Scan all candidates beside the base model, and compare the best with the best in simulated experiments."""
+    with run.timed("scan"):
+        basis, scan = first_look(base.contest, base.fit, nulls(base, run.settings.seed))
+        run.progress("looking", 1)
+        left = float(base.fit.chi2[0] - scan.gain[0].max())
+        return Evidence(basis, scan, family_wise(scan, overdispersion(base.contest, left)))
+
+
+def lacks_fit(field: Field, least: float) -> bool:
+    """Return whether the base model leaves far more than noise, and an rms of more than ``least`` noise deviations."""
+    excess = field.reduced_chi2(field.base) - 1.0
+    return excess > LACK and float(np.sqrt(excess)) > least
 
 
 def nulls(base: Base, seed: int) -> torch.Tensor:
@@ -63,28 +99,3 @@ def family_wise(scan: Scan, overdispersion: float) -> float:
     tail = float(-np.expm1(-np.exp(-(best - place) / scale)))
     counted = (1.0 + float((null >= best).sum())) / (len(null) + 1.0)
     return tail if counted <= 2.0 / (len(null) + 1.0) else counted
-
-
-def profiles(contest: Contest) -> list[list[int]]:
-    """Return groups of recordings that repeat one experiment."""
-    groups: dict[int, list[int]] = {}
-    for i, t in enumerate(contest.case.trajectories):
-        groups.setdefault(i if t.replicate_of is None else t.replicate_of, []).append(i)
-    return list(groups.values())
-
-
-def left_out(contest: Contest, models: Sequence[Fits], groups: Sequence[Sequence[int]]) -> torch.Tensor:
-    """Return the squares left in every profile by models [S] that were refitted without it, shape [S, G]."""
-    rows = []
-    for model in models:
-        for group in groups:
-            weight = model.rows.weight.clone()
-            weight[:, list(group)] = 0.0
-            rows.append(Rows(model.rows.free, model.rows.active, model.rows.start, weight))
-    fitted = fit(contest, Rows.joined(rows), REFIT)
-    full = Rows(fitted.rows.free, fitted.rows.active, fitted.rows.start, torch.ones_like(fitted.rows.weight))
-    residual = contest.residual(full)
-    if len(contest.nuisance):
-        residual = residual - (fitted.nuisance @ contest.nuisance).view_as(residual)
-    by_recording = (residual**2).sum((-1, -2)).view(len(models), len(groups), -1)
-    return torch.stack([by_recording[:, g, list(group)].sum(-1) for g, group in enumerate(groups)], 1)

@@ -21,10 +21,10 @@ import torch
 from ...sim.base.types import Array
 from ..cases.case import BranchCase
 from ..replay.recording import Recording
-from .contest import Contest, Rows
-from .decide import Field, probe_for
-from .refit import normal_equations
-from .search import Model, overdispersion
+from .decide import Decision, probe_for
+from .models.contest import Contest, Rows
+from .models.field import Field, Model, overdispersion
+from .models.refit import normal_equations
 
 #: Evidence from which on a probe is worth making.
 ENOUGH = 12.0
@@ -102,18 +102,19 @@ class Worth:
     evidence: float
 
 
-def next_experiment(field: Field, model: Model, verdict: str, others: dict[str, tuple[str, ...]]) -> str:
+def next_experiment(field: Field, decision: Decision) -> str:
     """Return in words what to probe next: the push that would tell the best model from its nearest rival.
 
     Where no push would, or joints were measured, what the registry says of the names in question.
     """
-    if verdict == "none":
+    if decision.verdict == "none":
         return "none needed; larger pushes would show smaller effects"
+    model = decision.model
     rival = _rival(field, model)
     found = best_probe(field.contest, model, rival) if rival is not None else None
     names = field.names(model)
     if rival is None or found is None or found.evidence < ENOUGH:
-        return probe_for(names, [n for own in others.values() for n in own])
+        return probe_for(names, [n for own in decision.alternatives.values() for n in own])
     own, other = (" and ".join(field.names(m)) or "no effect" for m in (model, rival))
     return f"{found.probe.words}: it would tell {own} from {other} by {found.evidence:.0f} in twice the log likelihood"
 

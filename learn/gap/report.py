@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Literal
@@ -15,10 +14,10 @@ from ...sim.effects import effect_of
 from ...version import __version__
 from ..cases.case import BranchCase, JointCase
 from ..inference.predict import main_channels
-from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number, write_report
-from .decide import ALARM as CHANCE
+from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number
 from .decide import TIED
 from .diagnosis import Diagnosis, Rival
+from .evidence import ALARM
 from .figures import (
     before_after_figure,
     gap_figure,
@@ -36,12 +35,6 @@ SHOWN, LOOPS, CHANNELS, JOINTS, RIVALS = 2, 4, 3, 3, 12
 _STATUS: dict[str, Literal["good", "warning", "bad"]] = {"none": "good", "effects": "warning", "unknown": "bad"}
 #: How people read SI units: factor and name.
 _READ = {"m": (100.0, "cm"), "rad": (math.degrees(1.0), "deg"), "rad_per_s": (math.degrees(1.0), "deg/s")}
-
-
-def write_diagnosis(folder: Path, diagnosis: Diagnosis) -> Path:
-    """Write ``verdict.json``, the figures and ``report.html`` into an existing folder; return the page's path."""
-    (folder / VERDICT).write_text(json.dumps(diagnosis.verdict_file(), indent=2, allow_nan=False) + "\n")
-    return write_report(folder, content(diagnosis))
 
 
 def content(diagnosis: Diagnosis) -> ReportContent:
@@ -121,7 +114,7 @@ def _advice(d: Diagnosis) -> list[KeyNumber]:
 def _evidence(d: Diagnosis) -> list[KeyNumber]:
     chance = (
         "Probability that the best of all candidates looks this good although nothing is missing. "
-        f"Above {CHANCE} nothing is said to be missing."
+        f"Above {ALARM} nothing is said to be missing."
     )
     share = "Share of the excess over the noise that the best candidate explains."
     return [KeyNumber("Chance finding", d.p_null, "", chance), KeyNumber("Explained", 100 * d.explained, "%", share)]
@@ -188,8 +181,7 @@ def _details(d: Diagnosis) -> dict[str, object]:
 
 
 def _figures(d: Diagnosis) -> list[ReportFigure]:
-    base, best = (locate(d.case, d.recordings, d.sigma, out) for out in (d.base_output, d.best_output))
-    shares = [*base.shares, *(s for s in d.where.shares if s.by == "joint")]
+    base, best = d.where, locate(d.case, d.recordings, d.sigma, d.best_output)
     scale, unit = readable(d.gap.unit)
     ranked = _ranked(d)
     behind, explained = (np.array([getattr(r, k) for r in ranked]) for k in ("behind", "explained"))
@@ -202,7 +194,7 @@ def _figures(d: Diagnosis) -> list[ReportFigure]:
         _loops(d) if isinstance(d.case, BranchCase) else _against_motion(d, d.case),
         ReportFigure("ranking.png", ranking_figure([_called(r) for r in ranked], behind, explained),
                      "Evidence: how far every model is behind the best, and the share of the excess it explains."),
-        ReportFigure("parts.png", shares_figure(shares, best.shares),
+        ReportFigure("parts.png", shares_figure(base.shares, best.shares),
                      "Misfit over noise by part of the motion: what stands out says which law is wrong."),
     ]  # fmt: skip
 

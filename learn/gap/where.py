@@ -20,8 +20,8 @@ from ...sim.base.types import Array
 from ..cases.case import BranchCase, JointCase
 from ..replay.equation_error import fits_torque
 from ..replay.recording import Recording
-from .contest import Contest
 from .diagnosis import Share, Where
+from .models.contest import Contest
 
 #: Time windows of the longest recording, and the fewest samples of one.
 WINDOWS, FEWEST = 16, 4

@@ -9,17 +9,20 @@ import pytest
 import torch
 from bough.learn.cases.case import BranchCase, load_case
 from bough.learn.cases.noise import estimate_noise
-from bough.learn.gap.candidates import Candidate, everywhere, names_for, probes_of
-from bough.learn.gap.contest import Contest, Rows, active_rows
-from bough.learn.gap.decide import Field, alternatives, chosen, known, lacks_fit, leading
-from bough.learn.gap.diagnose import Diagnoser, Settings, too_loud
-from bough.learn.gap.evidence import family_wise
+from bough.learn.gap.decide import alternatives, chosen, known, leading
+from bough.learn.gap.diagnose import find_missing
+from bough.learn.gap.diagnosis import Settings
+from bough.learn.gap.evidence import family_wise, lacks_fit
 from bough.learn.gap.exam import as_text, grades
+from bough.learn.gap.models.candidates import Candidate, everywhere, names_for, probes_of
+from bough.learn.gap.models.contest import Contest, Rows, active_rows
+from bough.learn.gap.models.field import Field, Model
+from bough.learn.gap.models.refit import Fits, bounded, evaluated, fit
+from bough.learn.gap.models.scan import Basis, Scan, look
 from bough.learn.gap.next_probe import ARM_PROBES, best_probe, recordings_of
-from bough.learn.gap.refit import Fits, bounded, evaluated, fit
-from bough.learn.gap.scan import Basis, Scan, look
-from bough.learn.gap.search import Model
-from bough.learn.gap.setup import in_pieces
+from bough.learn.gap.prepare import in_pieces
+from bough.learn.gap.run import Run
+from bough.learn.gap.usable import too_noisy
 from bough.learn.hidden import hide
 from bough.learn.replay.recording import recordings
 from bough.learn.replay.rollout import Rollout
@@ -215,8 +218,8 @@ def test_the_nearest_name_is_what_explains_most_alone():
 def test_a_misfit_far_above_noise_is_not_nothing():
     """Miss something where the base leaves three squares a number, if their excess of 1.4 of noise matters."""
     field = field_of({}, base=3000.0)
-    assert lacks_fit(field.contest, field.base, 1.3) and not lacks_fit(field.contest, field.base, 1.5)
-    assert not lacks_fit(field.contest, field_of({}, base=1900.0).base, 0.1)  # the noise may have been taken too low
+    assert lacks_fit(field, 1.3) and not lacks_fit(field, 1.5)
+    assert not lacks_fit(field_of({}, base=1900.0), 0.1)  # the noise may have been taken too low
 
 
 def test_names_are_claimed_only_where_enough_is_explained():
@@ -277,7 +280,7 @@ def diagnosed(folder, **hidden):
     """Hide something and return the diagnosis."""
     hide(folder, **hidden)
     with one_thread():
-        return Diagnoser(load_case(folder), Settings(particles=0)).run()
+        return find_missing(load_case(folder), Run(Settings(particles=0)))
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03, 0.05])
@@ -317,7 +320,7 @@ def test_effect_on_no_list_is_unknown(tmp_path):
 
 def test_poor_cases_say_nothing(tmp_path):
     """Call a single trajectory and noise as large as the motion unknown, with what to do."""
-    assert too_loud(1.2) is not None and too_loud(20.0) is None
+    assert too_noisy(1.2) is not None and too_noisy(20.0) is None
     make_branch_case(tmp_path / "case", 3, segments=1, samples=40, dt=2e-3)
     with pytest.raises(InputError, match=r"an effect that this case cannot show|one of"):
         names_for(load_case(tmp_path / "case"), ("no_such_effect",))

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import yaml
 from bough.learn.cases.case import load_case
-from bough.learn.gap.at_rest import Noise
-from bough.learn.gap.diagnose import Diagnoser
+from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
+from bough.learn.gap.models.at_rest import Noise
+from bough.learn.gap.run import Run
 from bough.learn.runs.threads import one_thread
 from bough.learn.systems.acting import integral
 from scipy.integrate import solve_ivp
@@ -46,7 +47,7 @@ def write(folder, law, starts, joint, *, quantity="position", drive=None, rate=1
 def diagnosed(folder):
     """Return the diagnosis of a case, with one effect at most."""
     with one_thread():
-        return Diagnoser(load_case(folder), Settings(particles=0, max_effects=1)).run()
+        return find_missing(load_case(folder), Run(Settings(particles=0, max_effects=1)))
 
 
 @pytest.mark.parametrize("seed", [0, 10])

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.signal import welch
 
-from ...sim.base.types import Array
-from ..cases.case import BranchCase
-from ..replay.equation_error import fits_torque
+from ....sim.base.types import Array
+from ...cases.case import BranchCase
+from ...replay.equation_error import fits_torque
 from .contest import Contest, Rows
 
 #: Largest input at rest, in its largest ever; largest scatter of the model there, in its scatter over all.

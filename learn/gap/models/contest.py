@@ -17,14 +17,14 @@ from dataclasses import dataclass
 
 import torch
 
-from ...sim.base.types import Array
-from ..cases.case import BranchCase, JointCase
-from ..replay.equation_error import simulation_of
-from ..replay.input_noise import Colour
-from ..replay.recording import Recording
-from ..replay.rollout import Rollout
-from ..systems.branch import Unknowns
-from ..systems.system import box_of, values_of
+from ....sim.base.types import Array
+from ...cases.case import BranchCase, JointCase
+from ...replay.equation_error import simulation_of
+from ...replay.input_noise import Colour
+from ...replay.recording import Recording
+from ...replay.rollout import Rollout
+from ...systems.branch import Unknowns
+from ...systems.system import box_of, values_of
 from .candidates import Candidate, everywhere
 
 #: Sets of parameters in one launch; what is left over runs in launches of the second size.

@@ -15,9 +15,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from ..cases.case import BranchCase
-from ..replay.recording import Recording
-from ..replay.rollout import Rollout
+from ...cases.case import BranchCase
+from ...replay.recording import Recording
+from ...replay.rollout import Rollout
 from .candidates import Candidate, Probe
 from .contest import Contest
 from .scan import Basis
@@ -73,14 +73,16 @@ def _pulsed(r: Recording, axis: int, size: float) -> Recording:
 def _likeliest(
     contest: Contest, basis: Basis, response: torch.Tensor, ends: tuple[float, float]
 ) -> tuple[list[float], int]:
+    """Return the frequencies between two ends that explain most of the residual, and how many were compared."""
     t = torch.as_tensor(contest.recordings[0].t, device=contest.place)
     span = contest.recordings[-1].t_start + float(t[-1]) - contest.recordings[0].t_start
     coarse = np.arange(ends[0], ends[1], 0.3 / float(t[-1]))
-    alone = _gains(contest, basis, response, coarse, together=False)
+    left = basis.free_of(basis.residual[None])[0]
+    alone = np.nan_to_num([_gain_apart(left, contest.whiten(_waves(contest, response, f))) for f in coarse])
     top = coarse[_separate(alone, COARSE)]
     near = np.arange(-0.15 / float(t[-1]), 0.15 / float(t[-1]), 0.25 / span)
     fine = (top[:, None] + near).ravel()
-    gains = _gains(contest, basis, response, fine, together=True)
+    gains = np.nan_to_num([_gain_together(basis, left, contest.whiten(_waves(contest, response, f))) for f in fine])
     return [float(fine[k]) for k in np.argsort(-gains)[:FINE]], len(coarse) + len(fine)
 
 
@@ -95,27 +97,21 @@ def _separate(gain: np.ndarray, count: int) -> list[int]:
     return out
 
 
-def _gains(
-    contest: Contest, basis: Basis, response: torch.Tensor, frequency: np.ndarray, *, together: bool
-) -> np.ndarray:
-    """Squares of the residual that a force of each frequency explains, of one phase or of one in every recording."""
-    out = []
-    left = basis.free_of(basis.residual[None])[0]
-    per_recording = left.view(len(contest.recordings), -1)
-    for f in frequency:
-        waves = contest.whiten(_waves(contest, response, float(f))).flatten(1)
-        if together:
-            own = basis.free_of(waves)
-            pull = own @ left
-            out.append(float(pull @ torch.linalg.lstsq(own @ own.T, pull[:, None]).solution[:, 0]))
-            continue
-        own = waves.view(len(waves), len(contest.recordings), -1).transpose(0, 1)
-        pull = (own @ per_recording[..., None])[..., 0]
-        normal = own @ own.transpose(1, 2)
-        ridge = 1e-9 * normal.diagonal(dim1=1, dim2=2).amax(1).clamp(min=1e-12)
-        normal = normal + ridge[:, None, None] * torch.eye(len(waves), dtype=own.dtype, device=own.device)
-        out.append(float((pull * torch.linalg.solve(normal, pull[..., None])[..., 0]).sum()))
-    return np.nan_to_num(np.array(out))
+def _gain_together(basis: Basis, left: torch.Tensor, waves: torch.Tensor) -> float:
+    """Squares of a residual [N] that a force explains whose phase is one in all recordings; ``waves`` [4, R, T, C]."""
+    own = basis.free_of(waves.flatten(1))
+    pull = own @ left
+    return float(pull @ torch.linalg.lstsq(own @ own.T, pull[:, None]).solution[:, 0])
+
+
+def _gain_apart(left: torch.Tensor, waves: torch.Tensor) -> float:
+    """Squares of a residual [N] that a force explains whose phase is another in every recording."""
+    own = waves.flatten(2).transpose(0, 1)
+    pull = (own @ left.view(len(own), -1)[..., None])[..., 0]
+    normal = own @ own.transpose(1, 2)
+    ridge = 1e-9 * normal.diagonal(dim1=1, dim2=2).amax(1).clamp(min=1e-12)
+    normal = normal + ridge[:, None, None] * torch.eye(own.shape[1], dtype=own.dtype, device=own.device)
+    return float((pull * torch.linalg.solve(normal, pull[..., None])[..., 0]).sum())
 
 
 def _waves(contest: Contest, response: torch.Tensor, frequency: float) -> torch.Tensor:

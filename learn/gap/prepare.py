@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -17,9 +17,13 @@ from ..inference.target import Target
 from ..replay.equation_error import noise_of, recordings_of, thinned
 from ..replay.input_noise import input_colour
 from ..replay.rollout import Rollout
-from .at_rest import Noise, noise_at_rest
-from .contest import Contest, Rows
-from .refit import Fits, evaluated, fit
+from .models.at_rest import Noise, noise_at_rest
+from .models.candidates import names_for
+from .models.contest import Contest, Rows
+from .models.field import overdispersion
+from .models.refit import Fits, evaluated, fit
+from .run import Run
+from .usable import nothing_moves, too_few, too_noisy
 
 #: Links that a segment is cut into to see what bending of its wood does.
 PIECES = 3
@@ -39,32 +43,49 @@ class Base:
         fit: The base model's fit, one row.
         noise: Noise of the channels.
         force_sigma: Noise of a branch's force [N], shape [3], or None.
+        motion: Rms of all measured channels in units of their noise.
+        unusable: Why the case can say nothing, with the probe that is missing; None where it can.
     """
 
     contest: Contest
     fit: Fits
     noise: Noise
     force_sigma: Array | None
+    motion: float = field(init=False)
+    unusable: str | None = None
+
+    def __post_init__(self) -> None:
+        """Measure the motion."""
+        contest = self.contest
+        used = contest.sigma > 0.0
+        self.motion = float(((contest.measured[..., used] / contest.sigma[used]) ** 2).mean().sqrt())
 
 
-def base_of(case: BranchCase | JointCase, names: Sequence[str], seed: int, *, fitted: bool = True) -> Base:
-    """Fit the base model to a case, or leave it as it is typical, and set the contest up about it."""
+def prepare(case: BranchCase | JointCase, run: Run) -> Base:
+    """Return the contest of a case with its noise and its base model, and whether the case can say anything."""
+    with run.timed("base"):
+        names, resting = names_for(case, run.settings.effects), nothing_moves(case)
+        base = _typical(case, names) if resting else _fitted(case, names, run.settings.seed)
+        base.unusable = resting or too_few(case) or too_noisy(base.motion)
+        run.progress("base", 1)
+    return base
+
+
+def _typical(case: BranchCase | JointCase, names: Sequence[str]) -> Base:
+    """Return a case with its base model as it is typical, not fitted."""
     noise = noise_of(case)
     sigma, force_sigma = pooled_sigma(case, noise), force_noise(case, noise)
-    every = recordings_of(case)
-    recordings = [thinned(case, r) for r in every]
-    if not fitted:
-        contest = Contest(case, recordings, np.where(sigma > 0.0, sigma, 1.0), names)  # zeros have no noise to weigh by
-        return Base(contest, evaluated(contest, contest.rows(1)), Noise(sigma), force_sigma)
-    target = Target(case, recordings, torch.as_tensor(sigma))
-    starts = initial_vectors(target, STARTS, torch.Generator().manual_seed(seed))
-    modes = find_modes(target, starts)
-    u, start, _ = target.split(modes.theta[modes.log_posterior.argmax()][None])
-    contest = Contest(case, recordings, sigma, names)
-    row = contest.rows(1)
-    row.free[:, : contest.num_base] = u
-    row = Rows(row.free, row.active, start, row.weight)
-    fits = fit(contest, row, 3)
+    weights = np.where(sigma > 0.0, sigma, 1.0)  # zeros have no noise to weigh by
+    contest = Contest(case, [thinned(case, r) for r in recordings_of(case)], weights, names)
+    return Base(contest, evaluated(contest, contest.rows(1)), Noise(sigma), force_sigma)
+
+
+def _fitted(case: BranchCase | JointCase, names: Sequence[str], seed: int) -> Base:
+    """Return a case with its base model fitted, all that is known of the noise taken into account."""
+    noise = noise_of(case)
+    sigma, force_sigma = pooled_sigma(case, noise), force_noise(case, noise)
+    contest = Contest(case, [thinned(case, r) for r in recordings_of(case)], sigma, names)
+    fits = fit(contest, _best_mode(contest, seed), 3)
     seen = noise_at_rest(contest, fits.rows)
     if seen.spectrum:
         contest.weigh(seen.sigma)
@@ -73,9 +94,19 @@ def base_of(case: BranchCase | JointCase, names: Sequence[str], seed: int, *, fi
         colour(contest, fits.rows, force_sigma)
         add_wood(contest, fits.rows)
         fits = fit(contest, fits.rows, 3)
-        contest.overdispersion = max(1.0, float(fits.chi2[0]) / contest.num_samples)
+        contest.overdispersion = overdispersion(contest, float(fits.chi2[0]))
         fits = fit(contest, fits.rows, 4)
     return Base(contest, fits, seen, force_sigma)
+
+
+def _best_mode(contest: Contest, seed: int) -> Rows:
+    """Return the base model at the highest mode of its posterior, one row."""
+    target = Target(contest.case, contest.recordings, contest.sigma.cpu())
+    modes = find_modes(target, initial_vectors(target, STARTS, torch.Generator().manual_seed(seed)))
+    u, start, _ = target.split(modes.theta[modes.log_posterior.argmax()][None])
+    row = contest.rows(1)
+    row.free[:, : contest.num_base] = u
+    return Rows(row.free, row.active, start, row.weight)
 
 
 def colour(contest: Contest, row: Rows, force_sigma: Array) -> None:

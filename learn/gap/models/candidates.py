@@ -9,12 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from ...sim.base.errors import InputError
-from ...sim.effects import Effect, EffectParameter, Setting, effect_of, effects
-from ..cases.case import BranchCase, JointCase
-from ..replay.equation_error import fits_torque
-from ..systems.acting import Acting
-from ..systems.system import Parameter
+from ....sim.base.errors import InputError
+from ....sim.effects import Effect, EffectParameter, Setting, effect_of, effects
+from ...cases.case import BranchCase, JointCase
+from ...replay.equation_error import fits_torque
+from ...systems.acting import Acting
+from ...systems.system import Parameter
 
 #: Largest factor by which a difference that was simulated at one strength is extrapolated to another.
 FURTHEST = 4.0
