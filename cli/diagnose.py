@@ -51,10 +51,10 @@ class Diagnose:
         from ..learn.gap.run import STAGES
 
         stages = {
-            "fitting the base": 1,
-            "looking at candidates": None,
+            "fitting the base model": 1,
+            "scanning candidates": None,
             "fitting candidates": None,
-            "weighing": 1,
+            "comparing models": 1,
             "sampling": 24,
         }
         says = dict(zip(STAGES, stages, strict=True))

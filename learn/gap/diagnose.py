@@ -12,7 +12,7 @@ from ..runs.checkpoint import Checkpoint, digest
 from ..runs.threads import one_thread
 from .decide import decide
 from .diagnosis import Diagnosis, Settings
-from .evidence import weigh
+from .evidence import bootstrap_test
 from .held_out import held_out_gap
 from .models.candidates import names_for
 from .next_probe import next_experiment
@@ -36,9 +36,9 @@ def find_missing(case: BranchCase | JointCase, run: Run) -> Diagnosis:
         base = prepare(case, run)  # noise, fit of the base model, and whether the case can say anything
         searched = nothing_searched(base) if base.unusable else restored(base, run)
         if searched is None:
-            evidence = weigh(base, run)  # a scan of all candidates, and the p-value of the best
+            evidence = bootstrap_test(base, run)  # a scan of all candidates, and the p-value of the best
             searched = search(base, evidence, run)  # joint refits of all candidates, then further effects
-        models, contest = searched.field, base.contest
+        models, contest = searched.fitted, base.contest
         with run.timed("evidence"):
             decision = decide(base, searched, run.settings)  # none, effects by name, or unknown
             gap = held_out_gap(base, decision)  # in recordings not fitted to, before and after the repair
@@ -82,9 +82,10 @@ def diagnose(
         except InputError:
             keep.close()
             raise
-        from .write import write_diagnosis  # matplotlib, once there is something to show
+        from .write import write_diagnosis, write_models  # matplotlib, once there is something to show
 
         write_diagnosis(work, found)
+        write_models(work, found)
         keep.close()
     return found
 

@@ -81,7 +81,8 @@ def sit(item: tuple[int, Spec]) -> dict[str, Any]:
     truth = {k: answer[k] for k in ("null", "out_of_library", "effects", "equivalents", "weak", "visible_gap")}
     return {"case": number, "kind": spec.kind, "noise": spec.noise, "seed": spec.seed, "truth": truth,
             "verdict": verdict, "seconds": found.seconds["total"],
-            "misfit": found.ranking[0].misfit, "base_misfit": found.base_misfit, "motion": found.motion}  # fmt: skip
+            "reduced_chi2": found.ranking[0].reduced_chi2, "base_reduced_chi2": found.base_reduced_chi2,
+            "motion": found.motion}  # fmt: skip
 
 
 def grades(results: Sequence[dict[str, Any]]) -> dict[str, tuple[float | None, int]]:

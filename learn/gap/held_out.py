@@ -1,4 +1,4 @@
-"""The gap in recordings that neither model was fitted to, before and after the repair."""
+"""Held-out RMSE of the base and the repaired model."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from ..inference.predict import START_WINDOW, first_moments, main_channels
 from ..inference.report import unit_of
 from .decide import Decision
 from .diagnosis import Gap
-from .models.contest import Contest, Rows
+from .models.contest import Batch, Contest
 from .models.refit import fit
 from .prepare import Base
 
 #: Steps of a refit to the training trajectories, and of one of the start states alone.
 TRAIN, START = 8, 5
-#: Deviation that holds a parameter where it is.
+#: Prior standard deviation that fixes a parameter.
 FIXED = 1e-7
 
 
 def held_out_gap(base: Base, decision: Decision) -> Gap:
-    """Refit base and final model to the training trajectories and return the rms misfit of the held-out ones.
+    """Refit base and repaired model to the training trajectories and return their RMSE on the held-out ones.
 
-    Segments do not bend, as in the model that is written and wherever that is simulated: springs and dampers that were
-    fitted beside bending wood would be worse than the data allows, before more than after.
+    Segments are rigid here, as in the model file and in every simulation of it. Springs and dampers fitted beside
+    bending wood would have a larger RMSE in such a simulation, the base model more than the repaired one.
     """
     contest, case = base.contest.rigid(), base.contest.case
     train, test = split(case) if len(case.trajectories) > 1 else ([0], [0])
-    rows = Rows.joined([decision.base.fit.rows, decision.final.fit.rows])
-    rows.weight[:] = 0.0
-    rows.weight[:, train] = 1.0
-    fitted = fit(contest, rows, TRAIN).rows
+    batch = Batch.joined([decision.base.fit.batch, decision.final.fit.batch])
+    batch.weight[:] = 0.0
+    batch.weight[:, train] = 1.0
+    fitted = fit(contest, batch, TRAIN).batch
     out = contest.simulate(contest.values(fitted), _held_start(contest, fitted))
     main = list(main_channels(case))
     misfit = [_rmse(contest, own, test, main) for own in out]
@@ -41,8 +41,8 @@ def held_out_gap(base: Base, decision: Decision) -> Gap:
     return Gap(misfit[0], misfit[1], floor, unit_of(case), tuple(test))
 
 
-def _held_start(contest: Contest, fitted: Rows) -> torch.Tensor:
-    """Return the start states [S, R, J, 2] that the first moments of each recording show, parameters fixed."""
+def _held_start(contest: Contest, fitted: Batch) -> torch.Tensor:
+    """Return start states [S, R, J, 2] fitted to the first moments of each recording with fixed parameters."""
     if not fitted.start.numel():
         return fitted.start
     cut = [first_moments(r, START_WINDOW) for r in contest.recordings]
@@ -50,9 +50,9 @@ def _held_start(contest: Contest, fitted: Rows) -> torch.Tensor:
     outs = []
     for s in range(len(fitted)):
         short.centre, short.spread = fitted.free[s], torch.full_like(short.spread, FIXED)
-        row = fitted[slice(s, s + 1)]
-        own = Rows(row.free, row.active, short.start0[None].clone(), torch.ones_like(row.weight))
-        outs.append(fit(short, own, START).rows.start)
+        model = fitted[slice(s, s + 1)]
+        own = Batch(model.free, model.active, short.start0[None].clone(), torch.ones_like(model.weight))
+        outs.append(fit(short, own, START).batch.start)
     return torch.cat(outs)
 
 

@@ -1,4 +1,4 @@
-"""Base and effects together: the posterior of the preferred model, and intervals of its effects' parameters."""
+"""Joint posterior of base and effects, and intervals of the effects' parameters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from ..inference.fit import Modes, climb_until_settled, precision_at
+from ..inference.fit import Modes, climb_until_converged, precision_at
 from ..inference.posterior import Posterior, sample
 from ..inference.settings import default_iterations
 from ..inference.target import Target
@@ -17,7 +17,7 @@ from ..systems.system import Parameter
 from .decide import Decision
 from .diagnosis import Interval
 from .models.contest import Contest
-from .models.field import Field, Model, overdispersion
+from .models.fitted import FittedModels, Model, overdispersion
 from .models.refit import normal_equations
 from .run import Run
 
@@ -25,24 +25,24 @@ from .run import Run
 Intervals = dict[str, dict[str, Interval]]
 
 
-def infer(field: Field, decision: Decision, run: Run) -> Posterior | None:
+def infer(fitted: FittedModels, decision: Decision, run: Run) -> Posterior | None:
     """Infer base and effects together by Stein variational gradient descent, if effects are named and settings ask."""
     if decision.verdict != "effects" or not run.settings.particles:
         return None
     with run.timed("posterior"):
-        return posterior_of(field.contest, decision.model, run)
+        return posterior_of(fitted.contest, decision.model, run)
 
 
 def posterior_of(contest: Contest, model: Model, run: Run) -> Posterior:
     """Infer the base's and the effects' parameters of a model together, about its fit.
 
-    The simulator's kernel stays that of the search; effects that the model lacks are known to be neutral.
+    The simulator's kernel is that of the search, with the effects outside the model fixed at neutral.
     """
     target = Target(contest.case, contest.recordings, torch.as_tensor(contest.sigma), unknowns=only(contest, model))
     target.colour = contest.colour
-    rows = model.fit.rows
-    theta = torch.cat([rows.free[rows.active][None], rows.start.flatten(1), target.log_noise0[None]], 1)
-    theta = climb_until_settled(target, theta)
+    batch = model.fit.batch
+    theta = torch.cat([batch.free[batch.active][None], batch.start.flatten(1), target.log_noise0[None]], 1)
+    theta = climb_until_converged(target, theta)
     modes = Modes(theta, target.log_density(theta), precision_at(target, theta))
     count = max(run.settings.particles, 2 * target.num_dims)
     return sample(
@@ -52,7 +52,7 @@ def posterior_of(contest: Contest, model: Model, run: Run) -> Posterior:
 
 
 def only(contest: Contest, model: Model) -> Unknowns:
-    """Return unknowns in which a model's effects are inferred and all others of the superset are off."""
+    """Return unknowns in which a model's effects are inferred and all other candidates are off."""
     acting = []
     for c, candidate in enumerate(contest.candidates):
         off = {s.name: s.neutral for s in candidate.specs}
@@ -60,16 +60,16 @@ def only(contest: Contest, model: Model) -> Unknowns:
     return Unknowns(effects=tuple(acting))
 
 
-def intervals(field: Field, decision: Decision, posterior: Posterior | None) -> Intervals:
+def intervals(fitted: FittedModels, decision: Decision, posterior: Posterior | None) -> Intervals:
     """Return medians and 95 % intervals of the named effects' parameters, by the posterior or the curvature at the fit.
 
-    Intervals end where the box does: beyond it a law means nothing.
+    Intervals are clipped to the parameters' boxes.
     """
     if decision.verdict != "effects":
         return {}
     if posterior is None:
-        return _by_curvature(field.contest, decision.model)
-    return _by_posterior(field.contest, decision.model, posterior)
+        return _by_curvature(fitted.contest, decision.model)
+    return _by_posterior(fitted.contest, decision.model, posterior)
 
 
 def _by_posterior(contest: Contest, model: Model, posterior: Posterior) -> Intervals:
@@ -80,11 +80,11 @@ def _by_posterior(contest: Contest, model: Model, posterior: Posterior) -> Inter
 
 
 def _by_curvature(contest: Contest, model: Model) -> Intervals:
-    rows, width = model.fit.rows, _deviations(contest, model)
+    batch, width = model.fit.batch, _deviations(contest, model)
     own = [contest.candidates[c] for c in model.members]
     return {
         candidate.acting.label: {
-            spec.name: _interval(contest.parameters[k], float(rows.free[0, k]), width[k])
+            spec.name: _interval(contest.parameters[k], float(batch.free[0, k]), width[k])
             for spec, k in zip(candidate.specs, candidate.columns, strict=True)
         }
         for candidate in own
@@ -92,9 +92,9 @@ def _by_curvature(contest: Contest, model: Model) -> Intervals:
 
 
 def _deviations(contest: Contest, model: Model) -> dict[int, float]:
-    """Return the deviation of every active free coordinate of a model by the curvature at its fit, by column."""
-    residual, derivative, columns = contest.linearise(model.fit.rows)
-    normal, _ = normal_equations(contest, model.fit.rows, residual, derivative, columns)
+    """Return the standard deviation of each active free coordinate by the curvature at the fit, by parameter index."""
+    residual, derivative, columns = contest.linearise(model.fit.batch)
+    normal, _ = normal_equations(contest, model.fit.batch, residual, derivative, columns)
     diagonal = normal[0].diagonal()
     filled = normal[0] + torch.diag(torch.where(diagonal > 0.0, 0.0, 1.0))
     spread = torch.linalg.inv(filled / overdispersion(contest, model.chi2)).diagonal().clamp(min=0.0).sqrt()

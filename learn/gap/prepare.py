@@ -1,4 +1,4 @@
-"""From a case to a contest with its noise, its base fit and what may excuse a misfit that no effect is behind."""
+"""From a case to a contest: noise of the channels, fit of the base model, nuisance columns of bending wood."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from ..replay.input_noise import input_colour
 from ..replay.rollout import Rollout
 from .models.at_rest import Noise, noise_at_rest
 from .models.candidates import names_for
-from .models.contest import Contest, Rows
-from .models.field import overdispersion
+from .models.contest import Batch, Contest
+from .models.fitted import overdispersion
 from .models.refit import Fits, evaluated, fit
 from .run import Run
 from .usable import nothing_moves, too_few, too_noisy
 
-#: Links that a segment is cut into to see what bending of its wood does.
+#: Links per segment in the finer branch that shows the bending of wood inside segments.
 PIECES = 3
-#: Bend of the wood inside a segment over that of its joint under the same torque: mean and deviation of its prior, and
-#: the step by which its response is taken.
+#: Bend of the wood inside a segment relative to that of its joint under the same torque: mean and standard deviation of
+#: its prior, and finite-difference step of its response.
 WOOD, WOOD_SPREAD, WOOD_STEP = 0.05, 0.03, 0.06
 #: Starts of the base fit.
 STARTS = 8
@@ -36,15 +36,15 @@ STARTS = 8
 
 @dataclass
 class Base:
-    """A case ready to be asked what it lacks.
+    """A case prepared for the search.
 
     Attributes:
-        contest: Its models.
-        fit: The base model's fit, one row.
+        contest: What simulates and fits its models.
+        fit: The base model's fit, a batch of one.
         noise: Noise of the channels.
         force_sigma: Noise of a branch's force [N], shape [3], or None.
         motion: Rms of all measured channels in units of their noise.
-        unusable: Why the case can say nothing, with the probe that is missing; None where it can.
+        unusable: Why the data cannot support a verdict, with the missing probe; None where they can.
     """
 
     contest: Contest
@@ -62,7 +62,7 @@ class Base:
 
 
 def prepare(case: BranchCase | JointCase, run: Run) -> Base:
-    """Return the contest of a case with its noise and its base model, and whether the case can say anything."""
+    """Return the contest of a case with its noise and fitted base model, and whether the data can support a verdict."""
     with run.timed("base"):
         names, resting = names_for(case, run.settings.effects), nothing_moves(case)
         base = _typical(case, names) if resting else _fitted(case, names, run.settings.seed)
@@ -72,57 +72,57 @@ def prepare(case: BranchCase | JointCase, run: Run) -> Base:
 
 
 def _typical(case: BranchCase | JointCase, names: Sequence[str]) -> Base:
-    """Return a case with its base model as it is typical, not fitted."""
+    """Return a case with the base model at typical values, not fitted."""
     noise = noise_of(case)
     sigma, force_sigma = pooled_sigma(case, noise), force_noise(case, noise)
-    weights = np.where(sigma > 0.0, sigma, 1.0)  # zeros have no noise to weigh by
+    weights = np.where(sigma > 0.0, sigma, 1.0)  # all-zero channels have no noise
     contest = Contest(case, [thinned(case, r) for r in recordings_of(case)], weights, names)
-    return Base(contest, evaluated(contest, contest.rows(1)), Noise(sigma), force_sigma)
+    return Base(contest, evaluated(contest, contest.base_batch(1)), Noise(sigma), force_sigma)
 
 
 def _fitted(case: BranchCase | JointCase, names: Sequence[str], seed: int) -> Base:
-    """Return a case with its base model fitted, all that is known of the noise taken into account."""
+    """Return a case with the base model fitted under the full noise model."""
     noise = noise_of(case)
     sigma, force_sigma = pooled_sigma(case, noise), force_noise(case, noise)
     contest = Contest(case, [thinned(case, r) for r in recordings_of(case)], sigma, names)
     fits = fit(contest, _best_mode(contest, seed), 3)
-    seen = noise_at_rest(contest, fits.rows)
+    seen = noise_at_rest(contest, fits.batch)
     if seen.spectrum:
-        contest.weigh(seen.sigma)
-        fits = fit(contest, fits.rows, 3)
+        contest.set_noise(seen.sigma)
+        fits = fit(contest, fits.batch, 3)
     if isinstance(case, BranchCase) and force_sigma is not None:
-        colour(contest, fits.rows, force_sigma)
-        add_wood(contest, fits.rows)
-        fits = fit(contest, fits.rows, 3)
+        colour(contest, fits.batch, force_sigma)
+        add_wood(contest, fits.batch)
+        fits = fit(contest, fits.batch, 3)
         contest.overdispersion = overdispersion(contest, float(fits.chi2[0]))
-        fits = fit(contest, fits.rows, 4)
+        fits = fit(contest, fits.batch, 4)
     return Base(contest, fits, seen, force_sigma)
 
 
-def _best_mode(contest: Contest, seed: int) -> Rows:
-    """Return the base model at the highest mode of its posterior, one row."""
+def _best_mode(contest: Contest, seed: int) -> Batch:
+    """Return the base model at the highest mode of its posterior, a batch of one."""
     target = Target(contest.case, contest.recordings, contest.sigma.cpu())
     modes = find_modes(target, initial_vectors(target, STARTS, torch.Generator().manual_seed(seed)))
     u, start, _ = target.split(modes.theta[modes.log_posterior.argmax()][None])
-    row = contest.rows(1)
-    row.free[:, : contest.num_base] = u
-    return Rows(row.free, row.active, start, row.weight)
+    model = contest.base_batch(1)
+    model.free[:, : contest.num_base] = u
+    return Batch(model.free, model.active, start, model.weight)
 
 
-def colour(contest: Contest, row: Rows, force_sigma: Array) -> None:
-    """Let the noise of the force colour the residuals as it does about a base model."""
+def colour(contest: Contest, model: Batch, force_sigma: Array) -> None:
+    """Set the correlation of the residuals by noise of the force, linearised about a model."""
     if float(force_sigma.max()) <= 0.0:
         return
     assert isinstance(contest.case, BranchCase)
-    values = contest.values(row)[0, : contest.num_base]
+    values = contest.values(model)[0, : contest.num_base]
     contest.colour = input_colour(contest.case, contest.recordings, values, force_sigma, contest.sigma)
 
 
-def add_wood(contest: Contest, row: Rows) -> None:
-    """Give every model the columns that wood bending inside each segment would add, about a base model."""
+def add_wood(contest: Contest, model: Batch) -> None:
+    """Set the nuisance columns of wood that bends inside each segment, linearised about a model."""
     case = contest.case
     assert isinstance(case, BranchCase)
-    spring, damper = contest.values(row)[0, : contest.num_base].chunk(2)
+    spring, damper = contest.values(model)[0, : contest.num_base].chunk(2)
     bends = WOOD * np.ones((case.num_segments + 1, case.num_segments))
     for i in range(case.num_segments):
         bends[i + 1, i] += WOOD_STEP
@@ -137,7 +137,7 @@ def add_wood(contest: Contest, row: Rows) -> None:
 def _on_pieces(
     contest: Contest, case: BranchCase, spring: torch.Tensor, damper: torch.Tensor, bends: Array
 ) -> torch.Tensor:
-    """Simulate a branch whose segments are cut; ``bends`` [S, R] says how much each bends inside. [S, R, T, C]."""
+    """Simulate the finer branch for inside bends [S, segments]; return channels [S, R, T, C]."""
     fine = in_pieces(case)
     piece = case.length[case.grasp_segment] / PIECES
     k = min(int(case.grasp_distance / piece), PIECES - 1)

@@ -1,4 +1,4 @@
-"""The ranking of the fitted models, and how the leading ones do in recordings that they were not fitted to."""
+"""Ranking of the fitted models, and cross-validation of the leading ones."""
 
 from __future__ import annotations
 
@@ -8,67 +8,69 @@ import torch
 
 from .decide import Decision
 from .diagnosis import Rival
-from .models.contest import Contest, Rows
-from .models.field import Field, Model
+from .models.contest import Batch, Contest
+from .models.fitted import FittedModels, Model
 from .models.refit import Fits, fit
 
-#: Models in the ranking, and steps of a refit without one profile.
+#: Models in the ranking, and steps of a refit with one profile left out.
 RANKED, REFIT = 12, 4
 
 
-def rank(field: Field, decision: Decision) -> tuple[Rival, ...]:
-    """Return base and rivals, best first; the leading ones with their misfit in profiles they were not fitted to."""
+def rank(fitted: FittedModels, decision: Decision) -> tuple[Rival, ...]:
+    """Return base and rivals, best first; the leading ones with their cross-validated reduced chi-squared."""
     model = decision.model
-    best = field.criterion(model)
-    scores = _cross_validated(field, model) if decision.verdict != "none" else {}
+    best = fitted.criterion(model)
+    scores = _cross_validated(fitted, model) if decision.verdict != "none" else {}
     return tuple(
-        Rival(field.labels(m), field.reduced_chi2(m), field.criterion(m) - best, field.explained(m), scores.get(id(m)))
-        for m in _listed(field, model)
+        Rival(
+            fitted.labels(m), fitted.reduced_chi2(m), fitted.criterion(m) - best, fitted.explained(m), scores.get(id(m))
+        )
+        for m in _listed(fitted, model)
     )
 
 
-def _listed(field: Field, model: Model) -> list[Model]:
+def _listed(fitted: FittedModels, model: Model) -> list[Model]:
     """Return the models of the ranking, best first.
 
-    Of models with more effects than the preferred one the best is shown: what one more would be good for.
+    Of models with more effects than the preferred one only the best is listed.
     """
-    every = sorted([field.base, *field.models], key=field.criterion)
+    every = sorted([fitted.base, *fitted.models], key=fitted.criterion)
     ahead = {m.members: m for m in reversed(every)}  # the same effects may have been fitted from two sides
     each = [m for m in every if ahead[m.members] is m]
     larger = [m.members for m in each if len(m.members) > len(model.members)][1:]
     listed = [m for m in each if m.members not in larger][:RANKED]
-    return listed if field.base in listed else [*listed, field.base]
+    return listed if fitted.base in listed else [*listed, fitted.base]
 
 
-def _cross_validated(field: Field, model: Model) -> dict[int, float]:
-    """Return the reduced chi-squared in left-out profiles of a model, its nearest rival and the base, by identity."""
-    groups = profiles(field.contest)
+def _cross_validated(fitted: FittedModels, model: Model) -> dict[int, float]:
+    """Return the cross-validated reduced chi-squared of a model, its nearest rival and the base, by identity."""
+    groups = profiles(fitted.contest)
     if len(groups) < 2:
         return {}
-    rivals = [m for m in field.of_size(len(model.members)) if m.members != model.members]
-    tried = [model, *rivals[:1], field.base]
-    chi2 = left_out(field.contest, [m.fit for m in tried], groups).sum(1) / field.contest.num_samples
+    rivals = [m for m in fitted.of_size(len(model.members)) if m.members != model.members]
+    tried = [model, *rivals[:1], fitted.base]
+    chi2 = left_out_chi2(fitted.contest, [m.fit for m in tried], groups).sum(1) / fitted.contest.num_samples
     return {id(m): float(x) for m, x in zip(tried, chi2, strict=True)}
 
 
 def profiles(contest: Contest) -> list[list[int]]:
-    """Return groups of recordings that repeat one experiment."""
+    """Return groups of recordings that are replicates of one experiment."""
     groups: dict[int, list[int]] = {}
     for i, t in enumerate(contest.case.trajectories):
         groups.setdefault(i if t.replicate_of is None else t.replicate_of, []).append(i)
     return list(groups.values())
 
 
-def left_out(contest: Contest, models: Sequence[Fits], groups: Sequence[Sequence[int]]) -> torch.Tensor:
-    """Return the squares left in every profile by models [S] that were refitted without it, shape [S, G]."""
-    rows = []
+def left_out_chi2(contest: Contest, models: Sequence[Fits], groups: Sequence[Sequence[int]]) -> torch.Tensor:
+    """Return chi-squared in each group by models [S] that were refitted without it, shape [S, G]."""
+    batches = []
     for model in models:
         for group in groups:
-            weight = model.rows.weight.clone()
+            weight = model.batch.weight.clone()
             weight[:, list(group)] = 0.0
-            rows.append(Rows(model.rows.free, model.rows.active, model.rows.start, weight))
-    fitted = fit(contest, Rows.joined(rows), REFIT)
-    full = Rows(fitted.rows.free, fitted.rows.active, fitted.rows.start, torch.ones_like(fitted.rows.weight))
+            batches.append(Batch(model.batch.free, model.batch.active, model.batch.start, weight))
+    fitted = fit(contest, Batch.joined(batches), REFIT)
+    full = Batch(fitted.batch.free, fitted.batch.active, fitted.batch.start, torch.ones_like(fitted.batch.weight))
     residual = contest.residual(full)
     if len(contest.nuisance):
         residual = residual - (fitted.nuisance @ contest.nuisance).view_as(residual)

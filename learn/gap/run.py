@@ -12,7 +12,7 @@ from .diagnosis import Settings
 
 Progress = Callable[[str, int], None]
 #: Stages in the order in which they report progress.
-STAGES = ("base", "looking", "fitting", "evidence", "sampling")
+STAGES = ("base", "scan", "fits", "evidence", "sampling")
 
 
 def silent(stage: str, done: int) -> None:

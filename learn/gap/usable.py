@@ -1,4 +1,4 @@
-"""Can a case say anything? If not, why, and which probe is missing."""
+"""Checks whether a case's data can support a verdict; if not, why, and which probe is missing."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import numpy as np
 from ..cases.case import BranchCase, JointCase
 from ..replay.equation_error import recordings_of
 
-#: Noise may be at most this share of a channel's rms for anything to be said.
-LOUDEST = 0.7
+#: Largest noise relative to the rms of the motion.
+MOST_NOISE = 0.7
 
 
 def nothing_moves(case: BranchCase | JointCase) -> str | None:
@@ -29,6 +29,6 @@ def too_few(case: BranchCase | JointCase) -> str | None:
 
 def too_noisy(motion: float) -> str | None:
     """Return what to do where noise hides the motion; ``motion`` is its rms in units of the noise."""
-    if motion < 1.0 / LOUDEST:
+    if motion < 1.0 / MOST_NOISE:
         return "noise is as large as the motion; push harder, or average repeated pushes"
     return None

@@ -16,13 +16,16 @@ from .report import VERDICT, content
 
 
 def write_diagnosis(folder: Path, found: Diagnosis) -> Path:
-    """Write everything about a diagnosis into an existing folder; return the report's path."""
+    """Write ``verdict.json``, the figures and ``report.html`` into an existing folder; return the page's path."""
     (folder / VERDICT).write_text(json.dumps(found.verdict_file(), indent=2, allow_nan=False) + "\n")
-    page = write_report(folder, content(found))
+    return write_report(folder, content(found))
+
+
+def write_models(folder: Path, found: Diagnosis) -> None:
+    """Write ``model.yaml`` of a branch, and ``posterior.npz`` where there is one, into an existing folder."""
     write_repaired(folder / "model.yaml", found)
     if found.posterior is not None:
         found.posterior.save(folder / "posterior.npz")
-    return page
 
 
 def write_repaired(path: Path, found: Diagnosis) -> None:

@@ -1,10 +1,10 @@
-"""Where to look for an oscillating load: frequencies at which a horizontal force would explain the residual.
+"""Candidate frequencies of an oscillating load: those at which a horizontal force would explain the residual.
 
-A gust is coherent on the absolute clock over all recordings, so that its frequency is known to a fraction of the
-inverse of the whole session, far too finely to simulate each. The branch answers a force at the grasp point nearly
-linearly: one pulse a recording and axis gives the response to any force by convolution. Frequencies that a single
-recording can tell apart are tried first, each recording with a phase of its own; about the best of them all that the
-session can tell apart.
+A gust is coherent on the absolute clock over all recordings, so its frequency is resolved to a fraction of the inverse
+of the whole session: too many frequencies to simulate one by one. The branch responds almost linearly to a force at the
+grasp point, so one pulse per recording and axis gives the response to any force by convolution. The search is coarse to
+fine: first the frequencies that one recording resolves, with a free phase per recording; then, about the best of them,
+those that the whole session resolves.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ from .candidates import Candidate, Probe
 from .contest import Contest
 from .scan import Basis
 
-#: Frequencies that are looked at more closely, and those that are simulated.
+#: Coarse frequencies that are refined, and fine ones that are simulated.
 COARSE, FINE = 3, 3
 #: Size of the pulse, as a share of the largest force.
 PULSE = 0.1
 
 
 def frequency_probes(contest: Contest, basis: Basis, without: Sequence[int] = ()) -> tuple[list[Probe], int]:
-    """Return probes at the likeliest frequencies of the candidates that oscillate, but some, and how many it compared.
+    """Return probes at the best frequencies of the oscillating candidates, and how many frequencies were compared.
 
-    Effects that the model has already are left out of the response: a frequency is told by its phase over the session.
+    Candidates in ``without`` are skipped. Effects that the model has already are left out of the response, because the
+    frequency is determined by its phase over the session.
     """
     oscillate = [(i, c) for i, c in enumerate(contest.candidates) if any(s.unit == "Hz" for s in c.specs)]
     own = [(i, c) for i, c in oscillate if i not in without]
@@ -58,7 +59,7 @@ def _pulse_response(contest: Contest, basis: Basis) -> torch.Tensor:
     case = contest.case
     size = PULSE * max(float(np.abs(r.input).max()) for r in contest.recordings)
     pulsed = [*contest.recordings, *(_pulsed(r, a, size) for a in (0, 1) for r in contest.recordings)]
-    values = contest.values(basis.fit.rows)[:, : contest.num_base]
+    values = contest.values(basis.fit.batch)[:, : contest.num_base]
     out = Rollout(case, pulsed, 1, device=contest.device)(values)[0].double()
     plain, x, y = out.chunk(3)
     return torch.stack([x - plain, y - plain]) / size
@@ -98,14 +99,14 @@ def _separate(gain: np.ndarray, count: int) -> list[int]:
 
 
 def _gain_together(basis: Basis, left: torch.Tensor, waves: torch.Tensor) -> float:
-    """Squares of a residual [N] that a force explains whose phase is one in all recordings; ``waves`` [4, R, T, C]."""
+    """Gain for a residual [N] of a force with one phase in all recordings; ``waves`` [4, R, T, C]."""
     own = basis.free_of(waves.flatten(1))
     pull = own @ left
     return float(pull @ torch.linalg.lstsq(own @ own.T, pull[:, None]).solution[:, 0])
 
 
 def _gain_apart(left: torch.Tensor, waves: torch.Tensor) -> float:
-    """Squares of a residual [N] that a force explains whose phase is another in every recording."""
+    """Gain for a residual [N] of a force with its own phase in each recording; ``waves`` [4, R, T, C]."""
     own = waves.flatten(2).transpose(0, 1)
     pull = (own @ left.view(len(own), -1)[..., None])[..., 0]
     normal = own @ own.transpose(1, 2)

@@ -1,9 +1,9 @@
-"""A first look at every candidate: what its response would explain beside a model that is fitted already.
+"""Score tests of all candidate effects beside a fitted model, from one linearised simulation each.
 
-About a fitted model the whitened residual is r and derivatives of what is free in it span J. A candidate adds columns
-C: changes of the simulation, from moving a parameter about its neutral value or from the effect at a point of a grid.
-Its gain is the part of |r|^2 that C explains after J has taken its own; under the model it is chi-square distributed.
-One simulation a column serves any number of residuals, those of simulated nulls included.
+The fitted model has the whitened residual r and the Jacobian J. A candidate adds columns C: changes of the simulation
+when a parameter moves off its neutral value, or when the effect acts at a grid point. Its gain is the decrease of
+|r|^2 when C is fitted together with J; under the model the gain is chi-squared distributed. One simulation per column
+serves any number of residuals, including bootstrap ones.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import torch
 
 from .candidates import FURTHEST, Candidate, Probe, probes_of
-from .contest import Contest, Rows
+from .contest import Batch, Contest
 from .refit import Fits
 
-#: Share of a parameter's way from neutral to the nearer end of its box by which it is moved.
+#: Step off the neutral value, relative to the distance to the nearer end of the box.
 REACH = 0.1
 
 
@@ -26,54 +26,54 @@ class Scan:
     """Gains of all probes for some residuals.
 
     Attributes:
-        probes: What was looked at.
-        gain: Squares explained beside the model, shape [residuals, probes].
-        strength: Coefficients of the columns of each probe for the first residual, a tensor [q] each.
-        compared: How many probes each stands for, having been chosen for its gain, shape [probes].
-        taken: What the model's own parameters would have to change by to do as each probe at that strength, shape
-            [probes, parameters]; with the effect there they do the opposite.
+        probes: Parameter points that were tested.
+        gain: Decrease of chi-squared, shape [residuals, probes].
+        strength: Fitted coefficients of each probe's columns for the first residual, tensors [q].
+        compared: Number of probes that each was selected from (for multiple testing), length probes.
+        absorbed: Change of the model's own parameters that imitates each probe at that strength, shape
+            [probes, parameters]; once the effect is added they change by the opposite.
     """
 
     probes: list[Probe]
     gain: torch.Tensor
     strength: list[torch.Tensor]
     compared: list[int]
-    taken: torch.Tensor
+    absorbed: torch.Tensor
 
     def best(self, candidate: int, count: int) -> list[int]:
-        """Return the probes of a candidate that explain most of the first residual, best first."""
+        """Return the probes of a candidate with the largest gain for the first residual, best first."""
         own = [k for k, p in enumerate(self.probes) if p.candidate == candidate]
         return sorted(own, key=lambda k: -float(self.gain[0, k]))[:count]
 
 
 class Basis:
-    """What a fitted model can do about a residual by itself: its derivatives, whitened, priors as rows of data.
+    """The span of a fitted model's own parameters: its whitened Jacobian with the priors.
 
     Attributes:
-        fit: The model, one row.
+        fit: The model, a batch of one.
         residual: Whitened residual, shape [N].
-        columns: Columns of its free parameters, shape [q].
+        columns: Indices of its free parameters, shape [q].
     """
 
     def __init__(self, contest: Contest, fit: Fits) -> None:
         self.fit = fit
-        residual, derivative, columns = contest.linearise(fit.rows)
+        residual, derivative, columns = contest.linearise(fit.batch)
         self.columns, own = columns[0], derivative[0].flatten(1)
         self.residual = residual[0].flatten()
         at = self.columns
         prior = [contest.spread[at], own.new_full((len(own) - len(at),), 1e6), contest.nuisance_spread]
-        self._rows = torch.cat([own, contest.nuisance])
+        self._jacobian = torch.cat([own, contest.nuisance])
         precision = contest.overdispersion * torch.cat(prior) ** -2
-        self._factor = torch.linalg.cholesky(self._rows @ self._rows.T + torch.diag(precision))
+        self._factor = torch.linalg.cholesky(self._jacobian @ self._jacobian.T + torch.diag(precision))
 
     def free_of(self, vectors: torch.Tensor) -> torch.Tensor:
-        """Return vectors [V, N] without what the model would explain of them."""
+        """Return vectors [V, N] minus their projection on the model's own span."""
         return self.split(vectors)[1]
 
     def split(self, vectors: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the coefficients [V, q + ...] with which the model explains vectors [V, N], and the rest."""
-        taken = torch.cholesky_solve(self._rows @ vectors.T, self._factor).T
-        return taken, vectors - taken @ self._rows
+        """Return the coefficients [V, q + ...] of the projection of vectors [V, N], and what remains of them."""
+        taken = torch.cholesky_solve(self._jacobian @ vectors.T, self._factor).T
+        return taken, vectors - taken @ self._jacobian
 
 
 def all_probes(contest: Contest, without: Sequence[int] = ()) -> list[Probe]:
@@ -86,57 +86,57 @@ def all_probes(contest: Contest, without: Sequence[int] = ()) -> list[Probe]:
     return out
 
 
-def look(contest: Contest, basis: Basis, probes: Sequence[Probe], residuals: torch.Tensor) -> Scan:
-    """Look at probes beside a fitted model for residuals [V, N], the first of them the measured one."""
-    moved, owner = _moved_rows(contest, basis.fit.rows, probes)
+def score_probes(contest: Contest, basis: Basis, probes: Sequence[Probe], residuals: torch.Tensor) -> Scan:
+    """Test probes beside a fitted model for residuals [V, N]; the first is the measured one."""
+    moved, owner = _moved_batch(contest, basis.fit.batch, probes)
     out = contest.simulate(contest.values(moved), moved.start)
-    change = contest.whiten(out - contest.simulate(contest.values(basis.fit.rows), basis.fit.rows.start)).flatten(1)
-    weight = basis.fit.rows.weight[0]
+    change = contest.whiten(out - contest.simulate(contest.values(basis.fit.batch), basis.fit.batch.start)).flatten(1)
+    weight = basis.fit.batch.weight[0]
     change = change * weight.repeat_interleave(change.shape[1] // len(weight))
     imitated, change = basis.split(change)
     imitated = imitated[:, : len(basis.columns)]
     left = basis.free_of(residuals)
     gain = left.new_zeros(len(residuals), len(probes))
-    strength, taken = [], []
+    strength, absorbed = [], []
     for k, probe in enumerate(probes):
         own = change[owner == k]
         found, explained = _explained(own, left, bounded=not probe.moved)
         gain[:, k] = explained
         strength.append(found[0])
-        taken.append(found[0] @ imitated[owner == k])
-    return Scan(list(probes), gain, strength, [1] * len(probes), torch.stack(taken))
+        absorbed.append(found[0] @ imitated[owner == k])
+    return Scan(list(probes), gain, strength, [1] * len(probes), torch.stack(absorbed))
 
 
 def _explained(columns: torch.Tensor, left: torch.Tensor, *, bounded: bool) -> tuple[torch.Tensor, torch.Tensor]:
-    """Coefficients [V, q] of columns [q, N] for residuals [V, N] and squares that they explain [V]."""
+    """Coefficients [V, q] of columns [q, N] fitted to residuals [V, N], and the decrease of chi-squared [V]."""
     normal, pull = columns @ columns.T, left @ columns.T
     size = normal.diagonal().clamp(min=1e-12)
-    if bounded:  # the effect itself at some strength: it can grow and shrink, not turn round
+    if bounded:  # the effect itself at some strength, which cannot become negative
         found = (pull / size).clamp(0.0, FURTHEST)
         return found, (2.0 * found * pull - found**2 * size).sum(1)
     found = torch.linalg.solve(normal + torch.diag(1e-6 * size), pull.T).T
     return found, (found * pull).sum(1).clamp(min=0.0)
 
 
-def _moved_rows(contest: Contest, row: Rows, probes: Sequence[Probe]) -> tuple[Rows, torch.Tensor]:
-    """Rows of all columns of all probes, and whose they are."""
+def _moved_batch(contest: Contest, row: Batch, probes: Sequence[Probe]) -> tuple[Batch, torch.Tensor]:
+    """Return a batch with one model per column of each probe, and the probe that each belongs to."""
     owner = [k for k, p in enumerate(probes) for _ in range(max(1, len(p.moved)))]
-    rows = row[torch.zeros(len(owner), dtype=torch.long, device=contest.place)]
+    batch = row[torch.zeros(len(owner), dtype=torch.long, device=contest.place)]
     s = 0
     for probe in probes:
         candidate = contest.candidates[probe.candidate]
         for entry in probe.moved or (None,):
-            _place(contest, rows, s, candidate, probe)
+            _place(contest, batch, s, candidate, probe)
             if entry is not None:
-                rows.free[s, candidate.columns[entry]] += step_of(contest, candidate, entry)
+                batch.free[s, candidate.columns[entry]] += step_of(contest, candidate, entry)
             s += 1
-    return rows, torch.tensor(owner, device=contest.place)
+    return batch, torch.tensor(owner, device=contest.place)
 
 
-def _place(contest: Contest, rows: Rows, s: int, candidate: Candidate, probe: Probe) -> None:
+def _place(contest: Contest, batch: Batch, s: int, candidate: Candidate, probe: Probe) -> None:
     for column, value in zip(candidate.columns, probe.values, strict=True):
-        rows.free[s, column] = contest.parameters[column].free(value)
-        rows.active[s, column] = True
+        batch.free[s, column] = contest.parameters[column].free(value)
+        batch.active[s, column] = True
 
 
 def step_of(contest: Contest, candidate: Candidate, entry: int) -> float:
@@ -146,36 +146,36 @@ def step_of(contest: Contest, candidate: Candidate, entry: int) -> float:
     return REACH * min(float(contest.high[column]) - neutral, neutral - float(contest.low[column]))
 
 
-def start_rows(contest: Contest, basis: Basis, scan: Scan, chosen: Sequence[int]) -> Rows:
-    """Return rows that set out from probes at the strength that the scan found, twice each.
+def start_batch(contest: Contest, basis: Basis, scan: Scan, chosen: Sequence[int]) -> Batch:
+    """Return start points of fits: each chosen probe at the strength that the scan found, twice.
 
-    First the model's own parameters are as they were fitted, then they make up for what they did in the effect's stead.
+    First with the model's own parameters as fitted, then corrected by what they had absorbed of the effect.
     """
     plain = _with_effects(contest, basis, scan, chosen)
     answered, columns = plain.copy(), basis.columns
     reach = contest.reach[columns]
-    moved = answered.free[:, columns] - scan.taken[list(chosen)].clamp(-reach, reach)
+    moved = answered.free[:, columns] - scan.absorbed[list(chosen)].clamp(-reach, reach)
     answered.free[:, columns] = moved.clamp(contest.low[columns], contest.high[columns])
-    return Rows.joined([plain, answered])
+    return Batch.joined([plain, answered])
 
 
-def _with_effects(contest: Contest, basis: Basis, scan: Scan, chosen: Sequence[int]) -> Rows:
-    rows = basis.fit.rows[torch.zeros(len(chosen), dtype=torch.long, device=contest.place)]
+def _with_effects(contest: Contest, basis: Basis, scan: Scan, chosen: Sequence[int]) -> Batch:
+    batch = basis.fit.batch[torch.zeros(len(chosen), dtype=torch.long, device=contest.place)]
     for s, k in enumerate(chosen):
         probe, strength = scan.probes[k], scan.strength[k]
         candidate = contest.candidates[probe.candidate]
-        _place(contest, rows, s, candidate, probe)
+        _place(contest, batch, s, candidate, probe)
         for n, entry in enumerate(probe.moved):
-            rows.free[s, candidate.columns[entry]] += float(strength[n]) * step_of(contest, candidate, entry)
+            batch.free[s, candidate.columns[entry]] += float(strength[n]) * step_of(contest, candidate, entry)
         if not probe.moved:
-            _scale(contest, rows, s, candidate, probe, float(strength[0]))
-        own = [candidate.columns[entry] for entry in probe.moved or (0,)]  # a grid's values, moments say, stay
+            _scale(contest, batch, s, candidate, probe, float(strength[0]))
+        own = [candidate.columns[entry] for entry in probe.moved or (0,)]  # the other values of a grid point stay
         edge = 0.02 * (contest.high[own] - contest.low[own])
-        rows.free[s, own] = rows.free[s, own].clamp(contest.low[own] + edge, contest.high[own] - edge)
-    return rows
+        batch.free[s, own] = batch.free[s, own].clamp(contest.low[own] + edge, contest.high[own] - edge)
+    return batch
 
 
-def _scale(contest: Contest, rows: Rows, s: int, candidate: Candidate, probe: Probe, strength: float) -> None:
-    """Strengthen an effect by its first parameter."""
+def _scale(contest: Contest, batch: Batch, s: int, candidate: Candidate, probe: Probe, strength: float) -> None:
+    """Scale an effect by its first parameter."""
     column = candidate.columns[0]
-    rows.free[s, column] = contest.parameters[column].free(probe.values[0] * max(strength, 0.1))
+    batch.free[s, column] = contest.parameters[column].free(probe.values[0] * max(strength, 0.1))

@@ -13,18 +13,18 @@ from ...cases.case import BranchCase
 from .contest import Contest
 from .refit import Fits
 
-#: Reduced chi-squared up to which what is left passes for noise, whose size is itself an estimate.
+#: Reduced chi-squared up to which residuals pass for noise; the noise is itself an estimate.
 QUIET = 1.15
 
 
 @dataclass
 class Model:
-    """A base with some effects, fitted.
+    """The base model with some effects, fitted.
 
     Attributes:
         members: Indices of the candidates in it.
-        fit: Its fit, one row.
-        settled: Whether it was followed to the last round.
+        fit: Its fit, a batch of one.
+        settled: Whether it was fitted to the last round.
     """
 
     members: tuple[int, ...]
@@ -33,7 +33,7 @@ class Model:
 
     @property
     def cost(self) -> float:
-        """Misfit and prior terms."""
+        """Chi-squared plus prior terms."""
         return float(self.fit.cost[0])
 
     @property
@@ -43,11 +43,11 @@ class Model:
 
 
 @dataclass
-class Field:
+class FittedModels:
     """All models that were fitted to a case.
 
     Attributes:
-        contest: Where they were fitted.
+        contest: What simulated and fitted them.
         base: The base model.
         models: With one effect and with more, in any order.
     """
@@ -71,19 +71,20 @@ class Field:
         return model.chi2 / self.contest.num_samples
 
     def criterion(self, model: Model) -> float:
-        """Return the information criterion of a model: misfit over the overdispersion, and what its parameters cost."""
+        """Return the information criterion: cost over the overdispersion, plus the penalty of the effects."""
         return model.cost / self.overdispersion + penalty(self.contest, model.members)
 
     def explained(self, model: Model) -> float:
-        """Return the share of the base's excess over the noise that a model explains.
+        """Return the share of the base model's excess chi-squared that a model explains.
 
-        The estimate of the noise may be a little large: the best model counts as noise where it leaves less.
+        The excess is over the number of samples, or over the best model's chi-squared if that is lower (the noise may
+        be slightly overestimated).
         """
         excess = self.base.chi2 - min(float(self.contest.num_samples), self.best.chi2)
         return (self.base.chi2 - model.chi2) / excess if excess > 0.0 else 0.0
 
     def of_size(self, count: int) -> list[Model]:
-        """Return the models with a number of effects, by the information criterion."""
+        """Return the models with ``count`` effects, by the information criterion."""
         return sorted((m for m in self.models if len(m.members) == count), key=self.criterion)
 
     def names(self, model: Model) -> tuple[str, ...]:
@@ -100,7 +101,7 @@ class Field:
 
     def values(self, model: Model) -> dict[str, float]:
         """Return the fitted values of a model's parameters in SI units, by name."""
-        values, active = self.contest.values(model.fit.rows)[0], model.fit.rows.active[0]
+        values, active = self.contest.values(model.fit.batch)[0], model.fit.batch.active[0]
         return {p.name: float(v) for p, v, on in zip(self.contest.parameters, values, active, strict=True) if on}
 
     def stiffness(self, model: Model) -> Array | None:
@@ -110,8 +111,8 @@ class Field:
 
     def output(self, model: Model) -> Array:
         """Return the channels [R, T, C] that a fitted model simulates."""
-        rows = model.fit.rows
-        return self.contest.simulate(self.contest.values(rows), rows.start)[0].cpu().numpy().astype(np.float64)
+        batch = model.fit.batch
+        return self.contest.simulate(self.contest.values(batch), batch.start)[0].cpu().numpy().astype(np.float64)
 
 
 def overdispersion(contest: Contest, chi2: float) -> float:
@@ -120,5 +121,5 @@ def overdispersion(contest: Contest, chi2: float) -> float:
 
 
 def penalty(contest: Contest, members: Sequence[int]) -> float:
-    """Return what an information criterion charges for effects: each parameter the logarithm of the sample size."""
+    """Return the penalty of the Bayesian information criterion: log(N) per parameter of the effects."""
     return math.log(contest.num_samples) * sum(len(contest.candidates[c].columns) for c in members)
