@@ -10,7 +10,7 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
 from ...sim.base.types import Array
-from ..reports.figures import ALARM, FAINT, MEASURED, MODEL, NOISE, WIDTH, styled
+from ..reports.figures import ALARM, FAINT, MEASURED, MODEL, NOISE, WIDTH, push_direction, styled
 from .decide import TIED
 from .diagnosis import Share
 from .where import CONTRAST
@@ -133,12 +133,6 @@ def loops_figure(
     for ax in axes[:, 0]:
         ax.set_ylabel("force [N]")
     return _keyed(figure, axes[0, 0])
-
-
-def push_direction(force: Array) -> Array:
-    """Return the unit direction in which a force [T, 3] mainly acts, towards its larger values, shape [3]."""
-    along: Array = np.linalg.svd(force, full_matrices=False)[2][0]
-    return along * (np.sign(np.sum((force @ along) ** 3)) or 1.0)
 
 
 @styled

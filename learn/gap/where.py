@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import savgol_filter
 
 from ...sim.base.types import Array
 from ..cases.case import BranchCase, JointCase
@@ -158,9 +159,7 @@ def phases(r: Recording) -> NDArray[np.str_]:
     size = np.linalg.norm(r.input, axis=1)
     peak = max(float(size[r.contact].max(initial=0.0)), 1e-300)
     half = max(2, round(0.5 * SLOPE_WINDOW * len(size)))
-    offset = np.arange(-half, half + 1)
-    padded = np.pad(size, half, mode="edge")
-    slope = np.correlate(padded, offset / np.sum(offset**2), mode="valid")  # least squares, per sample
+    slope = savgol_filter(size, 2 * half + 1, polyorder=1, deriv=1, mode="nearest")  # per sample
     change = slope * 2 * half / peak
     out = np.where(change > STEADY, "loading", np.where(change < -STEADY, "release", "hold"))
     out = np.where((out == "hold") & (size < STEADY * peak), "without force", out)

@@ -313,8 +313,7 @@ def loop_figure(
         if i >= n:
             ax.set_visible(False)
             continue
-        along = np.linalg.svd(force[i], full_matrices=False)[2][0]
-        along = along * np.sign(np.sum((force[i] @ along) ** 3) or 1.0)
+        along = push_direction(force[i])
         ax.plot(100 * measured[i] @ along, force[i] @ along, ".", color=MEASURED, markersize=3, label="measured")
         ax.plot(100 * predicted[i] @ along, force[i] @ along, color=MODEL, linewidth=1, label="predicted")
         ax.set_title(titles[i].replace(": ", "\n").replace("_", " "))
@@ -326,3 +325,9 @@ def loop_figure(
     handles, names = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=2)
     return figure
+
+
+def push_direction(force: Array) -> Array:
+    """Return the unit direction in which a force [T, 3] mainly acts, towards its larger values, shape [3]."""
+    along: Array = np.linalg.svd(force, full_matrices=False)[2][0]
+    return along * (np.sign(np.sum((force @ along) ** 3)) or 1.0)
