@@ -23,6 +23,7 @@ WIDTH = 9.0
 """Width of every figure [in]."""
 MOST_PAIRS = 8
 """Number of parameters up to which pairs are drawn."""
+_MARGINALS = "Posterior particles: median (95 % interval)"
 
 _STYLE: dict[Any, Any] = {
     "font.size": 10, "axes.titlesize": 10, "axes.labelsize": 10, "legend.fontsize": 9, "xtick.labelsize": 9,
@@ -85,10 +86,10 @@ def prediction_figure(
             few = len(t[i]) <= 400
             ax.plot(t[i], measured[i][:, c], "." if few else "-", color=MEASURED, markersize=2.5,
                     linewidth=0.8, label="measured")  # fmt: skip
+            ax.set_title(titles[i])
             ax.set_ylabel(labels[c])
             if i == n - 1:
                 ax.set_xlabel("time [s]")
-        row[0].set_title(titles[i].replace("_", " "))
     handles, names = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=3)
     return figure
@@ -105,12 +106,14 @@ def posterior_figure(samples: Array, names: Sequence[str]) -> Figure:
     n = samples.shape[1]
     if n > MOST_PAIRS:
         rows = -(-n // 4)
-        figure = Figure(figsize=(WIDTH, 1.9 * rows), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 0.3 + 1.9 * rows), layout="constrained")
+        figure.suptitle(_MARGINALS, fontsize=11)
         axes = figure.subplots(rows, 4, squeeze=False).ravel()
         for i, ax in enumerate(axes):
             _marginal(ax, samples[:, i], names[i]) if i < n else ax.set_visible(False)
         return figure
     figure = Figure(figsize=(WIDTH, 3.0 if n == 1 else WIDTH * (0.55 if n == 2 else 1.0)), layout="constrained")
+    figure.suptitle(_MARGINALS, fontsize=11)
     axes = figure.subplots(n, n, squeeze=False, sharex="col")
     for i in range(n):
         for j in range(n):
@@ -272,6 +275,7 @@ def _residual_histogram(ax: Axes, scaled: Array, colour: str) -> None:
     )
     x = np.linspace(-reach, reach, 401)
     ax.plot(x, np.exp(-x * x / 2) / np.sqrt(2 * np.pi), color=NOISE, linewidth=2, label="standard normal (noise)")
+    ax.set_ylim(top=1.4 * ax.get_ylim()[1])  # room for the key
     ax.set_xlabel("residual / noise")
     ax.set_ylabel("probability density")
     ax.legend(loc="upper right")
@@ -316,12 +320,12 @@ def loop_figure(
         along = push_direction(force[i])
         ax.plot(100 * measured[i] @ along, force[i] @ along, ".", color=MEASURED, markersize=3, label="measured")
         ax.plot(100 * predicted[i] @ along, force[i] @ along, color=MODEL, linewidth=1, label="predicted")
-        ax.set_title(titles[i].replace(": ", "\n").replace("_", " "))
+        ax.set_title(titles[i])
         ax.locator_params(nbins=5)
     for ax in axes[:, 0]:
         ax.set_ylabel("force [N]")
     for i in range(max(0, n - columns), n):
-        axes.ravel()[i].set_xlabel("displacement [cm]")
+        axes.ravel()[i].set_xlabel("displacement along the force [cm]")
     handles, names = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=2)
     return figure
