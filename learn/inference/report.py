@@ -222,18 +222,21 @@ def _method(outcome: Outcome) -> dict[str, str | int | float]:
 
 
 def _figures(outcome: Outcome, scale: float, unit: str) -> list[ReportFigure]:
-    case, p = outcome.case, outcome.prediction
-    main = list(main_channels(case))
+    loops = [_loops(outcome, outcome.case)] if isinstance(outcome.case, BranchCase) else []
+    return [*_held_out(outcome, scale, unit), *loops, *_sampled(outcome)]
+
+
+def _held_out(outcome: Outcome, scale: float, unit: str) -> list[ReportFigure]:
+    """Return the figures of the held-out trajectories: prediction, residual, and error against amplitude."""
+    case, p, main = outcome.case, outcome.prediction, list(main_channels(outcome.case))
     shown = ["xyz"[c] if isinstance(case, BranchCase) else case.channels[c].joint for c in main]
-    labels = [f"{name} [{unit}]" for name in shown]
-    titles = [f"{case.trajectories[j].file}" for j in outcome.test]
+    labels, titles = [f"{name} [{unit}]" for name in shown], _titles(outcome)
     scaled = {k: [scale * a[:, main] for a in getattr(p, k)] for k in ("measured", "median", "low", "high", "residual")}
-    names = [f"{n} [{u}]" for n, u in zip(outcome.posterior.names, outcome.posterior.units, strict=True)]
-    out = [
+    bands = [scaled[k] for k in ("measured", "median", "low", "high")]
+    amplitude, misfit = p.by_amplitude()
+    return [
         ReportFigure(
-            "prediction.png",
-            prediction_figure(p.t, scaled["measured"], scaled["median"], scaled["low"], scaled["high"],
-                              titles=titles, labels=labels),
+            "prediction.png", prediction_figure(p.t, *bands, titles=titles, labels=labels),
             "Held-out trajectories: measured points, predicted median and 95 % interval.",
         ),
         ReportFigure(
@@ -241,41 +244,43 @@ def _figures(outcome: Outcome, scale: float, unit: str) -> list[ReportFigure]:
             residual_figure(p.t, scaled["residual"], scale * outcome.sigma[main], label=f"residual [{unit}]"),
             "Residual of held-out trajectories: noise alone stays in the green band and has no autocorrelation.",
         ),
-    ]  # fmt: skip
-    amplitude, misfit = p.by_amplitude()
-    out.append(
         ReportFigure(
             "amplitude.png",
             amplitude_figure(scale * amplitude, scale * misfit, scale * outcome.noise_floor, label=unit),
             "RMSE against amplitude in time windows: an RMSE that grows with the amplitude is model error, not noise.",
-        )
-    )
-    if isinstance(case, BranchCase):
-        force = [case.trajectories[j].force for j in outcome.test]
-        out.append(
-            ReportFigure(
-                "loops.png",
-                loop_figure(force, [m[:, :3] for m in p.measured], [m[:, :3] for m in p.median], titles=titles),
-                "Force against displacement: the slope is the stiffness, the enclosed area the energy lost.",
-            )
-        )
-    out.append(
+        ),
+    ]  # fmt: skip
+
+
+def _titles(outcome: Outcome) -> list[str]:
+    return [outcome.case.trajectories[j].file for j in outcome.test]
+
+
+def _loops(outcome: Outcome, case: BranchCase) -> ReportFigure:
+    p, force = outcome.prediction, [case.trajectories[j].force for j in outcome.test]
+    measured, median = ([x[:, :3] for x in part] for part in (p.measured, p.median))
+    return ReportFigure(
+        "loops.png", loop_figure(force, measured, median, titles=_titles(outcome)),
+        "Force against displacement: the slope is the stiffness, the enclosed area the energy lost.",
+    )  # fmt: skip
+
+
+def _sampled(outcome: Outcome) -> list[ReportFigure]:
+    """Return the figures of the posterior: marginals and pairs, calibration, convergence."""
+    q = outcome.posterior
+    names = [f"{n} [{u}]" for n, u in zip(q.names, q.units, strict=True)]
+    covered = np.array([outcome.prediction.coverage_at(x) for x in NOMINAL])
+    return [
         ReportFigure(
-            "posterior.png", posterior_figure(outcome.posterior.particles, names),
+            "posterior.png", posterior_figure(q.particles, names),
             "Posterior particles: marginals with median and 95 % interval, and correlations of pairs.",
-        )
-    )  # fmt: skip
-    out.append(
+        ),
         ReportFigure(
-            "coverage.png", coverage_figure(np.array(NOMINAL), np.array([p.coverage_at(q) for q in NOMINAL])),
+            "coverage.png", coverage_figure(np.array(NOMINAL), covered),
             "Calibration: coverage of held-out points against nominal probability; the diagonal is ideal.",
-        )
-    )  # fmt: skip
-    out.append(
+        ),
         ReportFigure(
-            "convergence.png",
-            convergence_figure(outcome.posterior.trace_log_posterior, outcome.posterior.trace_mean),
+            "convergence.png", convergence_figure(q.trace_log_posterior, q.trace_mean),
             "Convergence: log posterior of the particles and their mean; both should be flat at the end.",
-        )
-    )  # fmt: skip
-    return out
+        ),
+    ]  # fmt: skip
