@@ -47,13 +47,14 @@ class Diagnose:
         settings.check()
         case = load_case(self.case)
         start_warp()
-        from ..learn.gap.diagnose import STAGES, diagnose  # torch and Warp, after what is quick to refuse
+        from ..learn.gap.diagnose import diagnose  # torch and Warp, after what is quick to refuse
+        from ..learn.gap.run import STAGES
 
         stages = {
-            "fitting the base": 1,
-            "looking at candidates": None,
+            "fitting the base model": 1,
+            "scanning candidates": None,
             "fitting candidates": None,
-            "weighing": 1,
+            "comparing models": 1,
             "sampling": 24,
         }
         says = dict(zip(STAGES, stages, strict=True))

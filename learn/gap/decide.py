@@ -3,161 +3,156 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ...sim.effects import effect_of
 from ..cases.case import BranchCase, JointCase
 from ..replay.equation_error import fits_torque
-from .contest import Contest
-from .search import Model, overdispersion, penalty
+from ..systems.acting import Acting
+from .diagnosis import Settings, VerdictName
+from .evidence import ALARM, lacks_fit
+from .models.fitted import QUIET, FittedModels, Model
+from .prepare import Base
+from .search import Searched
 
-#: Family-wise p-value above which nothing is said to be missing.
-ALARM = 0.01
-#: Squares of the base's excess per number above which something is missing even where no candidate explains any of it:
-#: no estimate of the noise is so wrong.
-LACK = 1.0
-#: Squares per number up to which what is left passes for noise, whose size is itself an estimate; and the least share
-#: of the excess that named effects must explain then.
-QUIET, QUIET_EXPLAINED = 1.15, 0.7
-#: Least share of the base's excess that named effects must explain where what they leave is more than noise.
+#: Least share of the base model's excess chi-squared that named effects must explain if their residual exceeds noise.
 EXPLAINED = 0.87
-#: The same of joints that are measured directly: noise is a thousandth of the motion there, so that what a law misses
-#: of nature's own counts for much. 0.6 of the squares are a gap that is 1.6 times smaller.
+#: The same if their residual passes for noise.
+QUIET_EXPLAINED = 0.7
+#: The same for joints that are measured directly. Noise is a thousandth of the motion there, so small errors of a law's
+#: form count for much. Explaining 0.6 of chi-squared makes the RMSE 1.6 times smaller.
 EXPLAINED_JOINT = 0.6
-#: The same where torques are predicted from a measured motion, whose own errors no noise estimate holds.
+#: The same for torques predicted from a measured motion, whose errors are not in the noise estimate.
 EXPLAINED_TORQUE = 0.25
-#: By how much an information criterion must prefer a further effect, and which share of what is left it must explain.
+#: Least improvement of the information criterion by a further effect, and least share of the remaining excess that it
+#: must explain (for motion, for torques).
 FURTHER, FURTHER_SHARE, FURTHER_SHARE_TORQUE = 20.0, 0.3, 0.1
-#: Least share of the base's excess that a further effect must explain, in a branch and at joints measured directly:
-#: laws differ in form from what they stand for, by a quarter of what they do, and an effect that only makes up for that
-#: is none. Half of that will do for one that explains `MOST` of what is left, and less for one that explains
-#: `NEARLY_ALL`, which ends the search: no law makes up for another one's form so well.
+#: Least share of the base model's excess that a further effect must explain, for branches and for joints measured
+#: directly. A law differs from the true effect in form, by up to a quarter of its response; a further effect that only
+#: corrects that form must not be named. Half of the share suffices for an effect that explains `MOST` of the remaining
+#: excess, and any share for one that explains `NEARLY_ALL`: form errors are not corrected so well.
 WORTH, WORTH_JOINT, MOST, NEARLY_ALL = 0.1, 0.08, 0.88, 0.93
-#: Least share of a branch's excess that the same law at two joints must explain to be named.
+#: Least share of a branch's excess that one law at two joints must explain to be named.
 TWICE = 0.97
-#: Models this little behind the best in the information criterion cannot be told from it.
+#: Difference of the information criterion below which two models cannot be told apart.
 TIED = 12.0
 
 
-@dataclass
-class Field:
-    """All models that were fitted to a case.
+@dataclass(frozen=True)
+class Decision:
+    """The verdict on the fitted models.
 
     Attributes:
-        contest: Where they were fitted.
+        verdict: ``none``, ``effects`` or ``unknown``.
         base: The base model.
-        models: With one effect and with more, in any order.
+        model: The preferred model.
+        final: The repaired model: ``model``, or the base model if nothing is missing.
+        named: Effects that are claimed.
+        alternatives: For each of them the names that these data cannot tell from it.
+        nearest: For ``unknown`` the closest name, not claimed; None if the data cannot support a verdict.
     """
 
-    contest: Contest
+    verdict: VerdictName
     base: Model
-    models: list[Model]
-
-    @property
-    def best(self) -> Model:
-        """The model with the least squares."""
-        return min([self.base, *self.models], key=lambda m: m.chi2)
-
-    @property
-    def overdispersion(self) -> float:
-        """Squares left per number by the best model, at least one."""
-        return overdispersion(self.contest, self.best.chi2)
-
-    def criterion(self, model: Model) -> float:
-        """Return the information criterion of a model: misfit over the overdispersion, and what its parameters cost."""
-        return model.cost / self.overdispersion + penalty(self.contest, model.members)
-
-    def explained(self, model: Model) -> float:
-        """Return the share of the base's excess over the noise that a model explains.
-
-        The estimate of the noise may be a little large: the best model counts as noise where it leaves less.
-        """
-        excess = self.base.chi2 - min(float(self.contest.num_samples), self.best.chi2)
-        return (self.base.chi2 - model.chi2) / excess if excess > 0.0 else 0.0
-
-    def of_size(self, count: int) -> list[Model]:
-        """Return the models with a number of effects, by the information criterion."""
-        return sorted((m for m in self.models if len(m.members) == count), key=self.criterion)
-
-    def names(self, model: Model) -> tuple[str, ...]:
-        """Return the names of a model's effects."""
-        return tuple(self.contest.candidates[c].name for c in model.members)
+    model: Model
+    final: Model
+    named: tuple[Acting, ...] = ()
+    alternatives: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    nearest: str | None = None
 
 
-def needs_more(field: Field, model: Model) -> bool:
-    """Return whether a model leaves more than noise."""
-    return model.chi2 / field.contest.num_samples > 0.5 * (1.0 + QUIET)
+def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
+    """Return the verdict, the preferred model and the named effects."""
+    models = searched.fitted
+    model = chosen(models, settings.max_effects)
+    verdict = _verdict(base, searched, model, settings.tolerance)
+    candidates = models.contest.candidates
+    if verdict == "effects":
+        named = tuple(candidates[c].acting for c in model.members)
+        return Decision(verdict, models.base, model, model, named, alternatives(models, model))
+    if verdict == "none":
+        return Decision(verdict, models.base, model, models.base)
+    nearest = None if base.unusable else candidates[leading(models, model)].name
+    return Decision(verdict, models.base, model, model, nearest=nearest)
 
 
-def chosen(field: Field, most: int) -> Model:
-    """Return the model that is best worth its effects: one more only where it explains much of what is left.
+def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> VerdictName:
+    if base.unusable is not None:
+        return "unknown"
+    models = searched.fitted
+    small = searched.p_value > ALARM or size(models, model, base.motion) < tolerance
+    if small and not lacks_fit(models, tolerance * base.motion):
+        return "none"
+    return "effects" if known(models, model) else "unknown"
 
-    The base where nothing else was fitted.
+
+def chosen(fitted: FittedModels, most: int) -> Model:
+    """Return the preferred model with at most ``most`` effects, the base model if nothing else was fitted.
+
+    Selection is forward: a further effect is added only if it explains much of the remaining excess.
     """
-    best = _single(field)
-    share = FURTHER_SHARE_TORQUE if fits_torque(field.contest.case) else FURTHER_SHARE
-    worth = WORTH if isinstance(field.contest.case, BranchCase) else WORTH_JOINT
+    best = _single(fitted)
     for count in range(2, most + 1):
-        further = field.of_size(count)
-        if not further:
+        further = fitted.of_size(count)
+        if not further or not _worth_more(fitted, best, further[0]):
             break
-        trial = further[0]
-        left = best.chi2 - field.contest.num_samples
-        gained = field.criterion(best) - field.criterion(trial)
-        removed = best.chi2 - trial.chi2
-        if gained < FURTHER or removed < share * max(left, 0.0):
-            break
-        ends = needs_more(field, best) and removed > NEARLY_ALL * left
-        least = 0.5 * worth if removed > MOST * left else worth
-        if not ends and field.explained(trial) - field.explained(best) < least:
-            break
-        best = trial
+        best = further[0]
     return best
 
 
-def _single(field: Field) -> Model:
-    """Return the best model with one effect; of those that tie, one in a pair that is clearly better than any."""
-    singles, pairs = field.of_size(1), field.of_size(2)
-    best = next(iter(singles), field.base)
-    if not pairs or field.criterion(best) - field.criterion(pairs[0]) < FURTHER:
+def _worth_more(fitted: FittedModels, best: Model, trial: Model) -> bool:
+    """Return whether a further effect is justified: by criterion, remaining excess and whole excess."""
+    case = fitted.contest.case
+    share = FURTHER_SHARE_TORQUE if fits_torque(case) else FURTHER_SHARE
+    worth = WORTH if isinstance(case, BranchCase) else WORTH_JOINT
+    left = best.chi2 - fitted.contest.num_samples
+    removed = best.chi2 - trial.chi2
+    if fitted.criterion(best) - fitted.criterion(trial) < FURTHER or removed < share * max(left, 0.0):
+        return False
+    if fitted.needs_more(best) and removed > NEARLY_ALL * left:
+        return True
+    least = 0.5 * worth if removed > MOST * left else worth
+    return fitted.explained(trial) - fitted.explained(best) >= least
+
+
+def _single(fitted: FittedModels) -> Model:
+    """Return the best model with one effect; among ties, one contained in a clearly better pair."""
+    singles, pairs = fitted.of_size(1), fitted.of_size(2)
+    best = next(iter(singles), fitted.base)
+    if not pairs or fitted.criterion(best) - fitted.criterion(pairs[0]) < FURTHER:
         return best
-    tied = [m for m in singles if field.criterion(m) - field.criterion(best) < TIED]
+    tied = [m for m in singles if fitted.criterion(m) - fitted.criterion(best) < TIED]
     return next((m for m in tied if set(m.members) <= set(pairs[0].members)), best)
 
 
-def size(field: Field, model: Model, rms: float) -> float:
+def size(fitted: FittedModels, model: Model, motion: float) -> float:
     """Return the change of the motion that a model makes against the base, as a share of the motion's rms.
 
-    In units of the noise the rms change of all channels is the root of the squares per number it explains.
+    ``motion`` is that rms in units of the noise. In these units the rms change is the square root of the decrease in
+    reduced chi-squared.
     """
-    gained = max(field.base.chi2 - model.chi2, 0.0) / field.contest.num_samples
-    return float(np.sqrt(gained)) / rms
+    gained = max(fitted.base.chi2 - model.chi2, 0.0) / fitted.contest.num_samples
+    return float(np.sqrt(gained)) / motion
 
 
-def lacks_fit(contest: Contest, base: Model, least: float) -> bool:
-    """Return whether a base leaves far more than noise, and more in all than the rms ``least``, in units of noise."""
-    excess = base.chi2 / contest.num_samples - 1.0
-    return excess > LACK and float(np.sqrt(excess)) > least
-
-
-def known(field: Field, model: Model) -> bool:
+def known(fitted: FittedModels, model: Model) -> bool:
     """Return whether a model explains enough for its effects to be named.
 
-    What is on no list is easily made up of one law at two joints of a branch, so that must explain nearly all.
+    One law at two joints of a branch imitates many unknown effects, so it must explain nearly all.
     """
-    least = _least(field.contest.case)
-    if isinstance(field.contest.case, BranchCase) and len(set(field.names(model))) < len(model.members):
-        return field.explained(model) >= TWICE
-    if model.chi2 / field.contest.num_samples <= QUIET:
+    least = _least(fitted.contest.case)
+    if isinstance(fitted.contest.case, BranchCase) and len(set(fitted.names(model))) < len(model.members):
+        return fitted.explained(model) >= TWICE
+    if fitted.reduced_chi2(model) <= QUIET:
         least = min(least, QUIET_EXPLAINED)
-    return field.explained(model) >= least
+    return fitted.explained(model) >= least
 
 
-def leading(field: Field, model: Model) -> int:
-    """Return which of a model's effects explains most by itself; the first where none was fitted alone."""
-    alone = {c: min((m.chi2 for m in field.of_size(1) if m.members == (c,)), default=np.inf) for c in model.members}
+def leading(fitted: FittedModels, model: Model) -> int:
+    """Return the effect of a model that explains most by itself; the first if none was fitted alone."""
+    alone = {c: min((m.chi2 for m in fitted.of_size(1) if m.members == (c,)), default=np.inf) for c in model.members}
     return min(model.members, key=lambda c: alone[c])
 
 
@@ -167,36 +162,35 @@ def _least(case: BranchCase | JointCase) -> float:
     return EXPLAINED if isinstance(case, BranchCase) else EXPLAINED_JOINT
 
 
-def alternatives(field: Field, model: Model) -> dict[str, tuple[str, ...]]:
+def alternatives(fitted: FittedModels, model: Model) -> dict[str, tuple[str, ...]]:
     """Return for each effect of a model the other names that fit as well in its place.
 
-    A rival takes the place of one effect. It fits as well when the information criterion hardly tells, or, where even
-    the best leaves more than noise, when it explains nearly as much: laws differ in form from what they stand for.
+    A rival takes the place of one effect. It fits as well if the information criteria differ by less than `TIED`, or,
+    if even the best model leaves more than noise, if it explains nearly as much.
     """
     out: dict[str, tuple[str, ...]] = {}
     own = set(model.members)
     for c in model.members:
-        name = field.contest.candidates[c].name
+        name = fitted.contest.candidates[c].name
         found: list[str] = []
-        for rival in field.of_size(len(model.members)):
+        for rival in fitted.of_size(len(model.members)):
             others = own - {c}
             if rival is model or not others <= set(rival.members):
                 continue
-            other = field.contest.candidates[next(iter(set(rival.members) - others))].name
-            if other not in (name, *found) and _as_good(field, rival, model):
+            other = fitted.contest.candidates[next(iter(set(rival.members) - others))].name
+            if other not in (name, *found) and _as_good(fitted, rival, model):
                 found.append(other)
-        out[field.contest.candidates[c].acting.label] = tuple(found)
+        out[fitted.contest.candidates[c].acting.label] = tuple(found)
     return out
 
 
-def _as_good(field: Field, rival: Model, model: Model) -> bool:
-    if field.criterion(rival) - field.criterion(model) < TIED:
+def _as_good(fitted: FittedModels, rival: Model, model: Model) -> bool:
+    if fitted.criterion(rival) - fitted.criterion(model) < TIED:
         return True
-    leftover = model.chi2 / field.contest.num_samples
-    return leftover > QUIET and field.explained(rival) > field.explained(model) - 0.05
+    return fitted.reduced_chi2(model) > QUIET and fitted.explained(rival) > fitted.explained(model) - 0.05
 
 
 def probe_for(names: Sequence[str], rivals: Sequence[str]) -> str:
-    """Return the probe that the registry recommends to tell effects from what they are taken for."""
+    """Return the probes that the registry recommends to tell effects from their alternatives."""
     wanted = list(dict.fromkeys([*rivals, *names]))
     return "; ".join(f"for {n}: {effect_of(n).probe}" for n in wanted[:3])

@@ -1,4 +1,4 @@
-"""What a diagnosis holds: everything that the verdict file and the report are made of."""
+"""Records of a diagnosis: everything that the verdict file and the report are made of."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Settings:
     """How to diagnose.
 
     Attributes:
-        effects: Names that may be tried; empty for all that the case can show.
+        effects: Names of candidate effects; empty for all that the case can show.
         tolerance: Change of the motion, as a share of its rms, below which a missing effect is of no interest.
         max_effects: Most effects that are named together.
-        seed: Of every random number used.
-        particles: Of the posterior of base and effects; 0 takes intervals from the curvature at the fit.
+        seed: Seed of all random numbers.
+        particles: Particles of the joint posterior of base and effects; 0 uses the curvature at the fit instead.
     """
 
     effects: tuple[str, ...] = ()
@@ -62,26 +62,26 @@ class Interval:
 
 @dataclass(frozen=True)
 class Rival:
-    """A model that was fitted, for the ranking.
+    """A fitted model in the ranking.
 
     Attributes:
-        effects: Labels of its effects, such as ``dry_friction@1``; empty for the base.
-        misfit: Squares left per measured number; one for a perfect model.
-        behind: By how much its information criterion is behind the best model's.
-        explained: Share of the base model's excess over the noise that it explains.
-        left_out: Squares left per number in trajectories that it was not fitted to, None where that was not tried.
+        effects: Labels of its effects, such as ``dry_friction@1``; empty for the base model.
+        reduced_chi2: Reduced chi-squared; one for a perfect model.
+        delta: Its information criterion minus the preferred model's.
+        explained: Share of the base model's excess chi-squared that it explains.
+        cross_validated: Reduced chi-squared in recordings left out of its fit, None where that was not computed.
     """
 
     effects: tuple[str, ...]
-    misfit: float
-    behind: float
+    reduced_chi2: float
+    delta: float
     explained: float
-    left_out: float | None = None
+    cross_validated: float | None = None
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Held-out rms misfit of the main channels before and after repair, and what a perfect model would leave."""
+    """Held-out RMSE of the main channels by base and repaired model, and the noise floor; recordings held out."""
 
     base: float
     repaired: float
@@ -92,7 +92,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class Share:
-    """One part of the misfit: what it is a part by, which part, its rms over the noise (one: noise alone)."""
+    """Rms normalised residual of one part of the data: kind of part, its name, the rms (one: noise alone), samples."""
 
     by: str
     part: str
@@ -109,10 +109,10 @@ class Where:
         windows: Their worst windows, (trajectory, start, end) [s].
         joints: Joints with the largest residual torque, worst first; empty where it was not computed.
         regime: A phrase such as ``while the gripper is open, at large amplitude``.
-        heat: Misfit over noise by trajectory and time window, shape [R, W]; NaN past a recording's end.
+        heat: Rms normalised residual by trajectory and time window, shape [R, W]; NaN past a recording's end.
         edges: Edges of the windows [s], shape [W + 1].
-        shares: The misfit by phase, direction, amplitude, speed and joint.
-        torque: Residual torque at the joints that would close the gap, rms over each recording [N m], shape [R, J].
+        shares: Rms normalised residual by phase, direction, amplitude, speed and joint.
+        torque: Residual torque at the joints, rms over each recording [N m], shape [R, J].
     """
 
     trajectories: tuple[int, ...]
@@ -127,23 +127,23 @@ class Where:
 
 @dataclass
 class Diagnosis:
-    """What was found.
+    """Result of a diagnosis.
 
     Attributes:
         verdict: ``none``, ``effects`` or ``unknown``.
         sentence: The verdict in one sentence for a person.
-        effects: Effects named, base joint first.
+        effects: Named effects, base joint first.
         parameters: Of each named effect, by parameter name.
-        alternatives: For each named effect, the names that this data cannot tell from it.
+        alternatives: For each named effect, the names that these data cannot tell from it.
         nearest: For ``unknown`` the closest name, not claimed; else None.
         ranking: Base and rivals, best first.
-        explained: Share of the base's excess that the best model explains.
-        base_misfit: Squares left per measured number by the base model.
+        explained: Share of the base model's excess chi-squared that the preferred model explains.
+        base_reduced_chi2: Reduced chi-squared of the base model.
         motion: Rms of the motion in units of the noise.
         p_null: Family-wise p-value of the best candidate under the base model.
-        base_output, best_output: Simulated channels of all recordings, shape [R, T, C].
-        base_values, best_values: Parameter values by name, of base and best model.
-        posterior: Of base and effects together, None where nothing was named.
+        base_output, best_output: Channels simulated by base and repaired model, shape [R, T, C].
+        base_values, best_values: Parameter values by name, of base and repaired model.
+        posterior: Joint posterior of base and effects, None where nothing was named.
         next_experiment: What to probe next.
         seconds: Wall time of each stage.
     """
@@ -162,7 +162,7 @@ class Diagnosis:
     gap: Gap
     ranking: tuple[Rival, ...]
     explained: float
-    base_misfit: float
+    base_reduced_chi2: float
     motion: float
     p_null: float
     base_output: Array

@@ -1,9 +1,8 @@
-"""Is the misfit more than noise, and which rivals hold where they were not fitted?"""
+"""Is the misfit of the base model more than noise? The best of all candidates against a parametric bootstrap."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,47 +11,85 @@ from scipy.stats import chi2
 from ...sim.base.types import Array
 from ..cases.case import BranchCase
 from ..replay.rollout import Rollout
-from .contest import Contest, Rows
-from .refit import Fits, fit
-from .scan import Scan
-from .setup import Base
+from .models.contest import Batch, Contest
+from .models.fitted import FittedModels, overdispersion
+from .models.levels import scan_candidates
+from .models.scan import Basis, Scan
+from .prepare import Base
+from .run import Run
 
-#: Simulated nulls, and steps of a refit without one profile.
-NULLS, REFIT = 48, 4
+#: Family-wise p-value above which no effect is claimed to be missing.
+ALARM = 0.01
+#: Excess of the base model's reduced chi-squared over one above which an effect is missing even if no candidate
+#: explains it: the noise estimate is never so wrong.
+LACK = 1.0
+#: Bootstrap experiments simulated under the base model.
+NULLS = 48
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Scan of all candidates beside the base model, and its significance.
+
+    Attributes:
+        basis: Span of the base model's own parameters.
+        scan: Gains of all candidates for the measured residual and for the bootstrap residuals.
+        p_value: Family-wise p-value of the best candidate under the base model.
+    """
+
+    basis: Basis
+    scan: Scan
+    p_value: float
+
+
+def bootstrap_test(base: Base, run: Run) -> Evidence:
+    """Scan all candidates beside the base model and test the best against a parametric bootstrap."""
+    with run.timed("scan"):
+        basis, scan = scan_candidates(base.contest, base.fit, nulls(base, run.settings.seed))
+        run.progress("scan", 1)
+        left = float(base.fit.chi2[0] - scan.gain[0].max())
+        return Evidence(basis, scan, family_wise(scan, overdispersion(base.contest, left)))
+
+
+def lacks_fit(fitted: FittedModels, least: float) -> bool:
+    """Return whether the base's reduced chi-squared exceeds 1 + `LACK` and its excess rms exceeds ``least``."""
+    excess = fitted.reduced_chi2(fitted.base) - 1.0
+    return excess > LACK and float(np.sqrt(excess)) > least
 
 
 def nulls(base: Base, seed: int) -> torch.Tensor:
-    """Return whitened residuals of experiments in which nothing is missing, shape [NULLS, N].
+    """Return whitened residuals of a parametric bootstrap under the base model, shape [NULLS, N].
 
-    Parametric bootstrap: the base model is the truth, driven by the recorded force; sensors of force and motion add
-    their noise, and the base model is driven by what the force's sensor then reads.
+    The base model driven by the recorded force is the truth; noise is added to motion and force, and the base model is
+    then driven by the noisy force.
     """
     contest, force_sigma = base.contest, base.force_sigma
     generator = np.random.default_rng(seed)
     change = torch.as_tensor(base.noise.draw(generator, (NULLS, *contest.measured.shape)), device=contest.place)
     if isinstance(contest.case, BranchCase) and force_sigma is not None and float(force_sigma.max()) > 0.0:
-        change = change - _felt(contest, base.fit.rows, force_sigma, generator)
+        change = change - _force_response(contest, base.fit.batch, force_sigma, generator)
     return contest.whiten(change).flatten(1)
 
 
-def _felt(contest: Contest, row: Rows, force_sigma: Array, generator: np.random.Generator) -> torch.Tensor:
-    """Change of the motion [NULLS, R, T, C] by noise of the force, none where the gripper is open."""
+def _force_response(contest: Contest, model: Batch, force_sigma: Array, generator: np.random.Generator) -> torch.Tensor:
+    """Response of the motion [NULLS, R, T, C] to noise of the force, which is zero where the gripper is open."""
     noisy = list(contest.recordings)
     for _ in range(NULLS):
         for r in contest.recordings:
             noise = generator.standard_normal(r.input.shape) * force_sigma * r.contact[:, None]
             noisy.append(replace(r, input=r.input + noise))
-    values = contest.values(row)[:, : contest.num_base]
+    values = contest.values(model)[:, : contest.num_base]
     out = Rollout(contest.case, noisy, 1, device=contest.device)(values)[0].double()
     count = len(contest.recordings)
     return out[count:].unflatten(0, (NULLS, count)) - out[:count]
 
 
 def family_wise(scan: Scan, overdispersion: float) -> float:
-    """Return the probability that the best of all candidates looks as good as it does when nothing is missing.
+    """Return the family-wise p-value of the best candidate under the base model.
 
-    A probe's gain over q columns is as rare as its chi-square tail says. The rarest of all probes is compared with the
-    rarest in each null; beyond what so few nulls can count, a Gumbel distribution fitted to them goes on.
+    Each probe's gain over q columns gives a chi-squared tail probability. The smallest over all probes is compared with
+    the smallest in each bootstrap experiment; beyond the resolution of so few experiments, a Gumbel distribution fitted
+    to them extrapolates.
     """
     freedom = np.array([max(1, len(p.moved)) for p in scan.probes])
     rare = -chi2.logsf(scan.gain.cpu().numpy(), freedom)
@@ -63,28 +100,3 @@ def family_wise(scan: Scan, overdispersion: float) -> float:
     tail = float(-np.expm1(-np.exp(-(best - place) / scale)))
     counted = (1.0 + float((null >= best).sum())) / (len(null) + 1.0)
     return tail if counted <= 2.0 / (len(null) + 1.0) else counted
-
-
-def profiles(contest: Contest) -> list[list[int]]:
-    """Return groups of recordings that repeat one experiment."""
-    groups: dict[int, list[int]] = {}
-    for i, t in enumerate(contest.case.trajectories):
-        groups.setdefault(i if t.replicate_of is None else t.replicate_of, []).append(i)
-    return list(groups.values())
-
-
-def left_out(contest: Contest, models: Sequence[Fits], groups: Sequence[Sequence[int]]) -> torch.Tensor:
-    """Return the squares left in every profile by models [S] that were refitted without it, shape [S, G]."""
-    rows = []
-    for model in models:
-        for group in groups:
-            weight = model.rows.weight.clone()
-            weight[:, list(group)] = 0.0
-            rows.append(Rows(model.rows.free, model.rows.active, model.rows.start, weight))
-    fitted = fit(contest, Rows.joined(rows), REFIT)
-    full = Rows(fitted.rows.free, fitted.rows.active, fitted.rows.start, torch.ones_like(fitted.rows.weight))
-    residual = contest.residual(full)
-    if len(contest.nuisance):
-        residual = residual - (fitted.nuisance @ contest.nuisance).view_as(residual)
-    by_recording = (residual**2).sum((-1, -2)).view(len(models), len(groups), -1)
-    return torch.stack([by_recording[:, g, list(group)].sum(-1) for g, group in enumerate(groups)], 1)

@@ -18,7 +18,9 @@ from ..cases.case import load_case
 from ..hidden import NAMES, Spec, exam_plan, hide
 from ..reports.figures import png
 from ..runs.threads import one_thread
-from .diagnose import Diagnoser, Settings
+from .diagnose import find_missing
+from .diagnosis import Settings
+from .run import Run
 
 #: Wanted at 1, 3 and 5 % noise (issue's table): (criterion, bounds, whether more is better).
 WANTED = (
@@ -73,13 +75,14 @@ def sit(item: tuple[int, Spec]) -> dict[str, Any]:
     number, spec = item
     with tempfile.TemporaryDirectory() as folder, one_thread():
         answer = hide(Path(folder) / "case", **spec.options)
-        found = Diagnoser(load_case(Path(folder) / "case"), Settings(particles=0)).run()
+        found = find_missing(load_case(Path(folder) / "case"), Run(Settings(particles=0)))
     verdict = found.verdict_file()
     verdict["case"] = number
     truth = {k: answer[k] for k in ("null", "out_of_library", "effects", "equivalents", "weak", "visible_gap")}
     return {"case": number, "kind": spec.kind, "noise": spec.noise, "seed": spec.seed, "truth": truth,
             "verdict": verdict, "seconds": found.seconds["total"],
-            "misfit": found.ranking[0].misfit, "base_misfit": found.base_misfit, "motion": found.motion}  # fmt: skip
+            "reduced_chi2": found.ranking[0].reduced_chi2, "base_reduced_chi2": found.base_reduced_chi2,
+            "motion": found.motion}  # fmt: skip
 
 
 def grades(results: Sequence[dict[str, Any]]) -> dict[str, tuple[float | None, int]]:

@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: the measurement is dark, the base model vermilion, the repaired one blue, noise green."""
+"""Figures of a diagnosis: measurement dark, base model vermilion, repaired model blue, noise green."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
 from ...sim.base.types import Array
-from ..reports.figures import ALARM, FAINT, MEASURED, MODEL, NOISE, WIDTH, styled
+from ..reports.figures import ALARM, FAINT, MEASURED, MODEL, NOISE, WIDTH, push_direction, styled
 from .decide import TIED
 from .diagnosis import Share
 from .where import CONTRAST
 
-#: Longest name on an axis; dots drawn of one curve.
+#: Longest name on an axis; most dots per curve.
 LONGEST, MOST_DOTS = 30, 2000
-BASE, BEST = "spring and damper", "repaired"
+BASE, BEST = "base model", "repaired model"
 _HEAT = LinearSegmentedColormap.from_list("misfit", ["#FFFFFF", "#FBE3D2", ALARM, "#4A1D00"])
 
 
@@ -31,7 +31,7 @@ def short(name: str, longest: int = LONGEST) -> str:
 
 @styled
 def heat_figure(base: Array, best: Array, edges: Array, *, titles: Sequence[str]) -> Figure:
-    """Draw misfit over noise by recording and time window, base and repaired model on one scale.
+    """Draw residual over noise by recording and time window, base and repaired model on one scale.
 
     Args:
         base: Of the base model, NaN past a recording's end, shape [R, W].
@@ -40,7 +40,8 @@ def heat_figure(base: Array, best: Array, edges: Array, *, titles: Sequence[str]
         titles: Name of each recording, length R.
     """
     count = len(base)
-    figure = Figure(figsize=(WIDTH, 1.5 + 0.3 * max(count, 3)), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 1.7 + 0.3 * max(count, 3)), layout="constrained")
+    figure.suptitle("Residual / noise by recording and time window", fontsize=11)
     axes = figure.subplots(1, 2, sharey=True)
     top = max(4.0, float(np.nanmax(np.concatenate([base, best]))))
     for ax, values, name in zip(axes, (base, best), (BASE, BEST), strict=True):
@@ -48,11 +49,12 @@ def heat_figure(base: Array, best: Array, edges: Array, *, titles: Sequence[str]
         drawn = ax.pcolormesh(edges, np.arange(count + 1) - 0.5, np.ma.masked_invalid(np.maximum(values, 1.0)),
                               cmap=_HEAT, norm=LogNorm(1.0, top), edgecolors="white", linewidth=0.5)  # fmt: skip
         ax.set_title(name)
-        ax.set_xlabel("time in the recording [s]")
+        ax.set_xlabel("time [s]")
         ax.grid(visible=False)
+    axes[0].set_ylabel("recording")
     axes[0].set_yticks(range(count), [short(t) for t in titles])
     axes[0].invert_yaxis()
-    bar = figure.colorbar(drawn, ax=axes, label="misfit / noise", fraction=0.05)
+    bar = figure.colorbar(drawn, ax=axes, label="rms residual / noise", fraction=0.05)
     ticks = [x for x in (1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000) if x <= top]
     bar.set_ticks(ticks, labels=[str(x) for x in ticks])
     bar.ax.minorticks_off()
@@ -82,11 +84,10 @@ def before_after_figure(
             ax.plot(t[i], measured[i][:, c], "." if few else "-", color=MEASURED, markersize=3, linewidth=0.8,
                     label="measured")  # fmt: skip
             _both(ax, t[i], t[i], base[i][:, c], best[i][:, c])
-            if i == 0:
-                ax.set_title(labels[c])
+            ax.set_title(short(titles[i], 28))
+            ax.set_ylabel(labels[c])
             if i == len(t) - 1:
                 ax.set_xlabel("time [s]")
-        row[0].set_ylabel(short(titles[i], 24))
     return _keyed(figure, axes[0, 0])
 
 
@@ -134,18 +135,12 @@ def loops_figure(
     return _keyed(figure, axes[0, 0])
 
 
-def push_direction(force: Array) -> Array:
-    """Return the unit direction in which a force [T, 3] mainly acts, towards its larger values, shape [3]."""
-    along: Array = np.linalg.svd(force, full_matrices=False)[2][0]
-    return along * (np.sign(np.sum((force @ along) ** 3)) or 1.0)
-
-
 @styled
 def motion_figure(
     angle: Sequence[Array], rate: Sequence[Array], base: Sequence[Array], best: Sequence[Array], *,
     names: Sequence[str], units: tuple[str, str, str],
 ) -> Figure:  # fmt: skip
-    """Draw what both models leave over against coordinate and rate, a row per joint; empty arrays are left out.
+    """Draw the residuals of both models against coordinate and rate, a row per joint; empty arrays are left out.
 
     Args:
         angle: Coordinate of each of N joints over all recordings, shapes [T].
@@ -169,18 +164,18 @@ def motion_figure(
 
 
 @styled
-def ranking_figure(names: Sequence[str], behind: Array, explained: Array) -> Figure:
-    """Draw by how much every model is behind the preferred one, the share of the excess that it explains beside it.
+def ranking_figure(names: Sequence[str], delta: Array, explained: Array) -> Figure:
+    """Draw each model's difference of the information criterion, annotated with the share of the excess explained.
 
     Args:
-        names: What each of N models adds, best first; empty for the base.
-        behind: Differences of the information criterion to the preferred model, zero for itself, shape [N].
-        explained: Shares of the base's excess over the noise, shape [N].
+        names: What each of N models adds, best first; empty for the base model.
+        delta: Information criterion minus the preferred model's, shape [N].
+        explained: Shares of the base model's excess chi-squared, shape [N].
     """
     figure = Figure(figsize=(WIDTH, 1.1 + 0.3 * len(names)), layout="constrained")
     ax = figure.subplots()
-    at, length = np.arange(len(names)), np.maximum(np.asarray(behind, dtype=float), 0.0)
-    first = int(np.abs(behind).argmin())
+    at, length = np.arange(len(names)), np.maximum(np.asarray(delta, dtype=float), 0.0)
+    first = int(np.abs(delta).argmin())
     colours = [MODEL if i == first else FAINT if name else ALARM for i, name in enumerate(names)]
     ax.barh(at, length, color=colours, height=0.7)
     for i, (x, share) in enumerate(zip(length, explained, strict=True)):
@@ -188,32 +183,34 @@ def ranking_figure(names: Sequence[str], behind: Array, explained: Array) -> Fig
         ax.annotate(text, (x, i), (5, 0), textcoords="offset points", va="center", fontsize=9, color=MEASURED)
     ax.set_yticks(at, [short(name, 44) or BASE for name in names])
     ax.invert_yaxis()
+    ax.set_title("Information criterion of each model (shorter is better)")
     ax.set_xscale("symlog", linthresh=1.0)
     ax.set_xlim(0.0, 20.0 * max(10.0, float(length.max())))
-    ax.set_xlabel(f"behind in the information criterion (within {TIED:g}: not to be told apart)")
+    ax.set_xlabel(f"ΔIC to the preferred model (below {TIED:g}: indistinguishable)")
     ax.grid(visible=False, axis="y")
     return figure
 
 
 @styled
 def gap_figure(base: float, repaired: float, noise_floor: float, *, unit: str) -> Figure:
-    """Draw the held-out misfit of both models beside what a perfect one would leave."""
+    """Draw the held-out RMSE of both models and the noise floor."""
     figure = Figure(figsize=(5.2, 2.0), layout="constrained")
     ax = figure.subplots()
+    ax.set_title("Held-out RMSE")
     values = [base, repaired, noise_floor]
-    ax.barh([BASE, BEST, "perfect model"], values, color=[ALARM, MODEL, NOISE], height=0.65)
+    ax.barh([BASE, BEST, "noise floor"], values, color=[ALARM, MODEL, NOISE], height=0.65)
     for i, x in enumerate(values):
         ax.annotate(f"{x:.3g}", (x, i), (4, 0), textcoords="offset points", va="center", fontsize=9)
     ax.invert_yaxis()
     ax.set_xlim(0.0, 1.18 * max(*values, 1e-300))
-    ax.set_xlabel(f"held-out rms misfit [{unit}]")
+    ax.set_xlabel(f"held-out RMSE [{unit}]")
     ax.grid(visible=False, axis="y")
     return figure
 
 
 @styled
 def shares_figure(base: Sequence[Share], best: Sequence[Share]) -> Figure:
-    """Draw misfit over noise by part, a panel a kind; where the repaired model has none only the base is drawn."""
+    """Draw residual over noise by part, one panel per kind; parts that only the base model has show that alone."""
     kinds = list(dict.fromkeys(s.by for s in base))
     groups = [[s for s in base if s.by == kind] for kind in kinds]
     after = {(s.by, s.part): s.ratio for s in best}
@@ -230,5 +227,6 @@ def shares_figure(base: Sequence[Share], best: Sequence[Share]) -> Figure:
         ax.set_ylabel(group[0].by, rotation=0, ha="right", va="center", fontweight="bold")
         ax.grid(visible=False, axis="y")
     figure.align_ylabels()
-    axes[-1].set_xlabel(f"misfit / noise (above {CONTRAST} there is more than noise)")
+    axes[0].set_title("Residual by part of the motion")
+    axes[-1].set_xlabel(f"rms residual / noise (above {CONTRAST}: more than noise)")
     return _keyed(figure, axes[0])

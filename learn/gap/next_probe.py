@@ -1,13 +1,13 @@
-"""The probe that would tell two models apart best: T-optimal over pushes that an arm can make.
+"""The probe that best discriminates two models: T-optimal design over pushes that an arm can make.
 
-Atkinson & Fedorov 1975 (Biometrika 62:57): of all experiments take the one in which the rival, after its parameters
-have been fitted to it, stays farthest from the named model. Here the rival keeps what it has learnt from the case, so a
-probe is worth, to first order in the rival's free coordinates,
+Atkinson & Fedorov 1975 (Biometrika 62:57): choose the experiment in which the rival, refitted to it, stays farthest
+from the named model. Here the rival keeps its posterior from the case as a prior, so to first order in the rival's free
+coordinates the criterion is
 
     T = min_x |r - J x|^2 + x' P x,
 
-with r the difference of the two predictions over the sensors' noise, J the rival's derivatives in the probe and P its
-precision given the case. T is what the probe is expected to add to twice the log evidence against the rival.
+with r the difference of the two predictions in units of the noise, J the rival's Jacobian in the probe and P its
+precision given the case. T is the expected gain of twice the log likelihood ratio against the rival.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ import torch
 from ...sim.base.types import Array
 from ..cases.case import BranchCase
 from ..replay.recording import Recording
-from .contest import Contest, Rows
-from .decide import Field, probe_for
-from .refit import normal_equations
-from .search import Model, overdispersion
+from .decide import Decision, probe_for
+from .models.contest import Batch, Contest
+from .models.fitted import FittedModels, Model, overdispersion
+from .models.refit import normal_equations
 
-#: Evidence from which on a probe is worth making.
+#: Least T of a probe that is recommended.
 ENOUGH = 12.0
 
 #: Force over the largest of the case, at a time over the probe's length.
@@ -96,32 +96,33 @@ ARM_PROBES: tuple[ArmProbe, ...] = (
 
 @dataclass(frozen=True)
 class Worth:
-    """A probe and what it would add to twice the log evidence against a rival."""
+    """A probe and its expected gain of twice the log likelihood ratio against a rival."""
 
     probe: ArmProbe
     evidence: float
 
 
-def next_experiment(field: Field, model: Model, verdict: str, others: dict[str, tuple[str, ...]]) -> str:
-    """Return in words what to probe next: the push that would tell the best model from its nearest rival.
+def next_experiment(fitted: FittedModels, decision: Decision) -> str:
+    """Return in words what to probe next: the push that best tells the preferred model from its nearest rival.
 
-    Where no push would, or joints were measured, what the registry says of the names in question.
+    For joints, or if no push tells them apart, the registry's recommendation for the names in question.
     """
-    if verdict == "none":
+    if decision.verdict == "none":
         return "none needed; larger pushes would show smaller effects"
-    rival = _rival(field, model)
-    found = best_probe(field.contest, model, rival) if rival is not None else None
-    names = field.names(model)
+    model = decision.model
+    rival = _rival(fitted, model)
+    found = best_probe(fitted.contest, model, rival) if rival is not None else None
+    names = fitted.names(model)
     if rival is None or found is None or found.evidence < ENOUGH:
-        return probe_for(names, [n for own in others.values() for n in own])
-    own, other = (" and ".join(field.names(m)) or "no effect" for m in (model, rival))
+        return probe_for(names, [n for own in decision.alternatives.values() for n in own])
+    own, other = (" and ".join(fitted.names(m)) or "no effect" for m in (model, rival))
     return f"{found.probe.words}: it would tell {own} from {other} by {found.evidence:.0f} in twice the log likelihood"
 
 
-def _rival(field: Field, model: Model) -> Model | None:
-    """Return the best model whose names differ."""
-    names = set(field.names(model))
-    others = [m for m in field.of_size(len(model.members)) if set(field.names(m)) != names]
+def _rival(fitted: FittedModels, model: Model) -> Model | None:
+    """Return the best model of the same size whose names differ."""
+    names = set(fitted.names(model))
+    others = [m for m in fitted.of_size(len(model.members)) if set(fitted.names(m)) != names]
     return others[0] if others else None
 
 
@@ -137,9 +138,9 @@ def best_probe(
 
 
 def _precision(contest: Contest, model: Model) -> tuple[torch.Tensor, torch.Tensor]:
-    """Precision [q, q] of a model's free coordinates given the case, nuisance taken out, and their columns [q]."""
-    residual, derivative, columns = contest.linearise(model.fit.rows)
-    normal, _ = normal_equations(contest, model.fit.rows, residual, derivative, columns)
+    """Precision [q, q] of a model's free coordinates given the case, marginal of nuisance, and their indices [q]."""
+    residual, derivative, columns = contest.linearise(model.fit.batch)
+    normal, _ = normal_equations(contest, model.fit.batch, residual, derivative, columns)
     q = columns.shape[1]
     whole, p = normal[0], derivative.shape[1]
     own = whole[:q, :q]
@@ -152,18 +153,19 @@ def _precision(contest: Contest, model: Model) -> tuple[torch.Tensor, torch.Tens
 def _worth(
     contest: Contest, probe: ArmProbe, model: Model, rival: Model, precision: tuple[torch.Tensor, torch.Tensor]
 ) -> float:  # fmt: skip
-    """Squares by which the rival misses the model's prediction of a probe, however its parameters adapt."""
+    """Return T: the rival's chi-squared against the model's prediction of a probe, minimised over its parameters."""
     case = contest.case
     assert isinstance(case, BranchCase)
     made = recordings_of(case, contest.recordings, probe)
     other = Contest(case, made, contest.sigma.cpu().numpy(), contest.names, device=contest.device)
-    rows = [Rows(m.fit.rows.free, m.fit.rows.active, other.start0[None].clone(), m.fit.rows.free.new_ones(1, len(made)))
-            for m in (model, rival)]  # fmt: skip
-    other.measured = other.simulate(other.values(rows[0]), rows[0].start)[0].double()  # what the rival is held against
-    residual, derivative, _ = other.linearise(rows[1])
+    fits = [m.fit.batch for m in (model, rival)]
+    start = other.start0[None]
+    batches = [Batch(b.free, b.active, start.clone(), b.free.new_ones(1, len(made))) for b in fits]
+    other.measured = other.simulate(other.values(batches[0]), batches[0].start)[0].double()  # the data of the rival
+    residual, derivative, _ = other.linearise(batches[1])
     missed, j = residual.flatten(), derivative[0, : len(precision[1])].flatten(1)
-    pull = j @ missed
-    adapted = float(pull @ torch.linalg.solve(j @ j.T + precision[0], pull))
+    right = j @ missed
+    adapted = float(right @ torch.linalg.solve(j @ j.T + precision[0], right))
     return max(float(missed @ missed) - adapted, 0.0) / overdispersion(contest, model.chi2)
 
 

@@ -1,8 +1,7 @@
-"""What a diagnosis says to a person: its verdict, its numbers, its pictures and what to probe next."""
+"""The report page of a diagnosis: verdict, key numbers, tables, figures and the next probe."""
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Literal
@@ -15,11 +14,12 @@ from ...sim.effects import effect_of
 from ...version import __version__
 from ..cases.case import BranchCase, JointCase
 from ..inference.predict import main_channels
-from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number, write_report
-from .decide import ALARM as CHANCE
+from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number
 from .decide import TIED
 from .diagnosis import Diagnosis, Rival
+from .evidence import ALARM
 from .figures import (
+    BASE,
     before_after_figure,
     gap_figure,
     heat_figure,
@@ -31,17 +31,11 @@ from .figures import (
 from .where import joint_motion, locate
 
 VERDICT = "verdict.json"
-#: Recordings drawn in time and as loops, channels of a recording, joints of a mechanism, rivals of the ranking.
+#: Most recordings drawn over time and as loops, channels per recording, joints of a mechanism, models of the ranking.
 SHOWN, LOOPS, CHANNELS, JOINTS, RIVALS = 2, 4, 3, 3, 12
 _STATUS: dict[str, Literal["good", "warning", "bad"]] = {"none": "good", "effects": "warning", "unknown": "bad"}
-#: How people read SI units: factor and name.
+#: Units for readers: factor from the SI unit, and name.
 _READ = {"m": (100.0, "cm"), "rad": (math.degrees(1.0), "deg"), "rad_per_s": (math.degrees(1.0), "deg/s")}
-
-
-def write_diagnosis(folder: Path, diagnosis: Diagnosis) -> Path:
-    """Write ``verdict.json``, the figures and ``report.html`` into an existing folder; return the page's path."""
-    (folder / VERDICT).write_text(json.dumps(diagnosis.verdict_file(), indent=2, allow_nan=False) + "\n")
-    return write_report(folder, content(diagnosis))
 
 
 def content(diagnosis: Diagnosis) -> ReportContent:
@@ -58,15 +52,19 @@ def content(diagnosis: Diagnosis) -> ReportContent:
         details=_details(diagnosis),
         further=[
             (VERDICT, "the verdict for programs"),
-            *([("model.yaml", "what simulate, identify, forest and train take as --model")] if with_model else []),
-            ("docs/diagnose.md", "how to read this page, and how it is computed"),
-            ("docs/effects.md", "the law behind every name"),
+            *(
+                [("model.yaml", "the repaired model, for --model of simulate, identify, forest and train")]
+                if with_model
+                else []
+            ),
+            ("docs/diagnose.md", "how to read this page and how it is computed"),
+            ("docs/effects.md", "the law of each effect"),
         ],
     )
 
 
 def readable(unit: str) -> tuple[float, str]:
-    """Return factor and name of the unit in which people read an SI unit."""
+    """Return factor and name of the unit in which an SI unit is shown."""
     return _READ.get(unit, (1.0, unit.replace("_per_", "/").replace("_", " ")))
 
 
@@ -76,21 +74,21 @@ def readable(unit: str) -> tuple[float, str]:
 def _gap(d: Diagnosis) -> list[KeyNumber]:
     scale, unit = readable(d.gap.unit)
     held = ", ".join(str(j + 1) for j in d.gap.test)
-    of = f" Recordings {held}, not fitted to." if held else ""
+    of = f" Recordings {held}, not used in the fit." if held else ""
     repaired = {
-        "none": "Nothing is added, so it is the same model.",
-        "effects": "With what was found added.",
+        "none": "No effect is added: the base model.",
+        "effects": "Root mean square error with the named effects added.",
         "unknown": f"With {d.nearest or 'the best candidate'} added, which is not claimed.",
     }[d.verdict]
     return [
-        KeyNumber("Held-out misfit", scale * d.gap.base, unit, f"Of springs and dampers alone, rms.{of}"),
-        KeyNumber("Misfit, repaired", scale * d.gap.repaired, unit, repaired),
-        KeyNumber("Noise floor", scale * d.gap.noise_floor, unit, "What a perfect model would leave."),
+        KeyNumber("Held-out RMSE, base model", scale * d.gap.base, unit, f"Springs and dampers alone.{of}"),
+        KeyNumber("Held-out RMSE, repaired model", scale * d.gap.repaired, unit, repaired),
+        KeyNumber("Noise floor", scale * d.gap.noise_floor, unit, "Held-out RMSE of a perfect model."),
     ]
 
 
 def _effects(d: Diagnosis) -> list[KeyNumber]:
-    """Return a line a parameter of every named effect; what the effect does is told once."""
+    """Return a line per parameter of each named effect; what the effect does is said once."""
     out = []
     for acting in d.effects:
         law = f"; {effect_of(acting.name).summary}"
@@ -105,26 +103,31 @@ def _effects(d: Diagnosis) -> list[KeyNumber]:
 
 
 def _advice(d: Diagnosis) -> list[KeyNumber]:
-    """Return where it is wrong, what it could be confused with, and what to do next."""
+    """Return where the base model is wrong, alternative names, and the next probe."""
     files = [f"{j + 1} ({d.case.trajectories[j].file})" for j in d.where.trajectories]
     place = f", most in recording {', '.join(files)}" if files else ""
-    out = [KeyNumber("Where", "", "", f"{d.where.regime}{place}.")]
+    out = [KeyNumber("Largest residuals", "", "", f"{d.where.regime}{place}.")]
     rivals = [f"{label}: {', '.join(names)}" for label, names in d.alternatives.items() if names]
     if rivals:
-        out.append(KeyNumber("Could also be", "", "", f"This data cannot tell apart {'; '.join(rivals)}."))
+        out.append(KeyNumber("Alternatives", "", "", f"These data cannot tell apart {'; '.join(rivals)}."))
     if d.verdict == "unknown":
-        name = f"{d.nearest}, which leaves too much over to be claimed." if d.nearest else "None."
-        out.append(KeyNumber("Nearest name", "", "", name))
-    return [*out, KeyNumber("Probe next", "", "", d.next_experiment)]
+        name = f"{d.nearest}, which explains too little to be claimed." if d.nearest else "None."
+        out.append(KeyNumber("Nearest candidate", "", "", name))
+    return [*out, KeyNumber("Next probe", "", "", d.next_experiment)]
 
 
 def _evidence(d: Diagnosis) -> list[KeyNumber]:
-    chance = (
-        "Probability that the best of all candidates looks this good although nothing is missing. "
-        f"Above {CHANCE} nothing is said to be missing."
+    meaning = (
+        "Probability that the best of all candidates fits this well if the base model is true. "
+        f"Above {ALARM} no effect is claimed to be missing."
     )
-    share = "Share of the excess over the noise that the best candidate explains."
-    return [KeyNumber("Chance finding", d.p_null, "", chance), KeyNumber("Explained", 100 * d.explained, "%", share)]
+    share = "Share of the base model's excess chi-squared that the preferred model explains."
+    chi2 = "Of the base model; 1 if only noise is left."
+    return [
+        KeyNumber("p-value, family-wise", d.p_null, "", meaning),
+        KeyNumber("Explained", 100 * d.explained, "%", share),
+        KeyNumber("Reduced chi-squared", d.base_reduced_chi2, "", chi2),
+    ]
 
 
 # ---- tables ---------------------------------------------------------------------------------------------------------
@@ -139,16 +142,16 @@ def _parameters(d: Diagnosis) -> list[ParameterRow]:
 
 
 def _tables(d: Diagnosis) -> list[ReportTable]:
-    header = ("model", "squares per number", "behind", "explained", "left out")
+    header = ("model", "reduced chi-squared", "ΔIC", "explained", "cross-validated")
     rows: list[tuple[object, ...]] = [
-        (_called(r) or "springs and dampers alone", r.misfit, r.behind, f"{r.explained:.0%}",
-         "not tried" if r.left_out is None else r.left_out)
+        (_called(r) or BASE, r.reduced_chi2, r.delta, f"{r.explained:.0%}",
+         "not computed" if r.cross_validated is None else r.cross_validated)
         for r in _ranked(d)
     ]  # fmt: skip
     note = (
-        "Squares per number: one for a perfect model. Behind: in the information criterion; "
-        f"models within {TIED:g} cannot be told apart. Left out: squares per number in recordings that the model was "
-        "not fitted to."
+        "Reduced chi-squared: 1 for a perfect model. ΔIC: information criterion minus the preferred model's; models "
+        f"within {TIED:g} cannot be told apart. Explained: share of the base model's excess chi-squared. "
+        "Cross-validated: reduced chi-squared in recordings left out of the fit."
     )
     values: list[tuple[object, ...]] = [
         (name, d.base_values.get(name, "-"), d.best_values.get(name, "-"))
@@ -156,12 +159,12 @@ def _tables(d: Diagnosis) -> list[ReportTable]:
     ]
     return [
         ReportTable("Ranking", header, rows, note),
-        ReportTable("Fitted values, SI units", ("parameter", "springs and dampers", "repaired"), values),
+        ReportTable("Fitted values, SI units", ("parameter", "base model", "repaired model"), values),
     ]
 
 
 def _ranked(d: Diagnosis) -> list[Rival]:
-    """Return the best rivals, and the base wherever it stands."""
+    """Return the best models, and the base model wherever it ranks."""
     best = list(d.ranking[:RIVALS])
     return best + [r for r in d.ranking[RIVALS:] if not r.effects]
 
@@ -172,12 +175,12 @@ def _called(rival: Rival) -> str:
 
 def _details(d: Diagnosis) -> dict[str, object]:
     return {
-        "effects tried": ", ".join(d.settings.effects) or "all that the case can show",
+        "candidate effects": ", ".join(d.settings.effects) or "all that the case can show",
         "tolerance": f"{d.settings.tolerance:g} of the motion's rms",
-        "effects together at most": d.settings.max_effects,
+        "most effects together": d.settings.max_effects,
         "seed": d.settings.seed,
-        "seconds": ", ".join(f"{k} {v:.1f}" for k, v in d.seconds.items()),
-        "world-steps": f"{d.world_steps:,}",
+        "wall time [s]": ", ".join(f"{k} {v:.1f}" for k, v in d.seconds.items()),
+        "simulated world-steps": f"{d.world_steps:,}",
         "bough": __version__,
         **describe(),
         **{f"note {i + 1}": line for i, line in enumerate(d.case.warnings)},
@@ -188,22 +191,22 @@ def _details(d: Diagnosis) -> dict[str, object]:
 
 
 def _figures(d: Diagnosis) -> list[ReportFigure]:
-    base, best = (locate(d.case, d.recordings, d.sigma, out) for out in (d.base_output, d.best_output))
-    shares = [*base.shares, *(s for s in d.where.shares if s.by == "joint")]
+    base, best = d.where, locate(d.case, d.recordings, d.sigma, d.best_output)
     scale, unit = readable(d.gap.unit)
     ranked = _ranked(d)
-    behind, explained = (np.array([getattr(r, k) for r in ranked]) for k in ("behind", "explained"))
+    delta, explained = (np.array([getattr(r, k) for r in ranked]) for k in ("delta", "explained"))
+    floor = scale * d.gap.noise_floor
     return [
-        ReportFigure("gap.png", gap_figure(scale * d.gap.base, scale * d.gap.repaired, scale * d.gap.noise_floor,
-                                           unit=unit), "Held-out misfit before and after, and what cannot be helped."),
+        ReportFigure("gap.png", gap_figure(scale * d.gap.base, scale * d.gap.repaired, floor, unit=unit),
+                     "Held-out RMSE of both models: the repaired model should come close to the noise floor."),
         ReportFigure("heat.png", heat_figure(base.heat, best.heat, base.edges, titles=_titles(d)),
-                     "Misfit over noise by recording and time: white is noise, grey is past a recording's end."),
+                     "Residual / noise by recording and time: dark windows are where a model is wrong; grey: no data."),
         _before_after(d),
         _loops(d) if isinstance(d.case, BranchCase) else _against_motion(d, d.case),
-        ReportFigure("ranking.png", ranking_figure([_called(r) for r in ranked], behind, explained),
-                     "Evidence: how far every model is behind the best, and the share of the excess it explains."),
-        ReportFigure("parts.png", shares_figure(shares, best.shares),
-                     "Misfit over noise by part of the motion: what stands out says which law is wrong."),
+        ReportFigure("ranking.png", ranking_figure([_called(r) for r in ranked], delta, explained),
+                     "Model comparison: information criterion minus the preferred model's; shorter is better."),
+        ReportFigure("parts.png", shares_figure(base.shares, best.shares),
+                     "Residual / noise by part of the motion: parts far above 1 point to the missing law."),
     ]  # fmt: skip
 
 
@@ -214,7 +217,7 @@ def _titles(d: Diagnosis) -> list[str]:
 
 
 def _worst(d: Diagnosis, count: int) -> list[int]:
-    """Return the recordings with the largest misfit of the base model, worst first, one of each set of replicates."""
+    """Return the recordings with the largest residuals of the base model, worst first, one per set of replicates."""
     chosen: dict[int, int] = {}
     for j in np.argsort(-np.nanmean(d.where.heat**2, axis=1)).tolist():
         original = d.case.trajectories[j].replicate_of
@@ -235,7 +238,9 @@ def _before_after(d: Diagnosis) -> ReportFigure:
     titles = [_titles(d)[j] for j in chosen]
     times = [d.recordings[j].t for j in chosen]
     drawn = before_after_figure(times, measured, base, best, titles=titles, labels=labels)
-    return ReportFigure("before_after.png", drawn, "The recordings with the largest misfit, before and after.")
+    return ReportFigure(
+        "before_after.png", drawn, "The recordings with the largest residuals, measured and simulated by both models."
+    )
 
 
 def _loops(d: Diagnosis) -> ReportFigure:
@@ -244,12 +249,12 @@ def _loops(d: Diagnosis) -> ReportFigure:
     measured = [d.recordings[j].output[:, place] for j in chosen]
     base, best = (_cut(d, out, chosen, place) for out in (d.base_output, d.best_output))
     drawn = loops_figure(force, measured, base, best, titles=[_titles(d)[j] for j in chosen])
-    caption = "Force against displacement: the slope is stiffness, the area inside a loop is energy lost."
+    caption = "Force against displacement: the slope is the stiffness, the enclosed area the energy lost."
     return ReportFigure("loops.png", drawn, caption)
 
 
 def _against_motion(d: Diagnosis, case: JointCase) -> ReportFigure:
-    """Draw the residual of the main channels against their joint's coordinate and rate."""
+    """Draw the residual of the main channels against coordinate and rate of their joint."""
     scale, unit = readable(d.gap.unit)
     main = list(main_channels(case))[:JOINTS]
     names = [case.channels[c].joint for c in main]
@@ -262,7 +267,11 @@ def _against_motion(d: Diagnosis, case: JointCase) -> ReportFigure:
     turning = next(j for j in case.joints if j.name == names[0]).type == "revolute"
     units = ("rad", "rad/s", unit) if turning else ("m", "m/s", unit)
     drawn = motion_figure(angle, rate, base, best, names=names, units=units)
-    return ReportFigure("motion.png", drawn, "What is left over against coordinate and rate: a curve is a law.")
+    return ReportFigure(
+        "motion.png",
+        drawn,
+        "Residual against coordinate and rate: a curve shows a missing law, a flat cloud shows noise.",
+    )
 
 
 def _residual(d: Diagnosis, output: Array, channel: int) -> Array:

@@ -1,220 +1,97 @@
-"""Which effects explain what the base model leaves over: scan, joint refits, successive halving, further effects.
-
-Every candidate is fitted together with the base parameters (a residual fitted afterwards is confounded with them). The
-scan says where fits set out and which candidates are worth one; the better part of these goes on until few are left.
-"""
+"""The search: every candidate fitted jointly with the base, then further effects; and its checkpoint."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import torch
+from ..replay.input_noise import Colour
+from .evidence import ALARM, Evidence, lacks_fit
+from .models.contest import Batch
+from .models.fitted import FittedModels, Model
+from .models.levels import LEADERS, first_level, moved, next_level, reduced, refitted
+from .models.refit import Fits
+from .prepare import Base, add_wood, colour
+from .run import Run
 
-from .contest import Contest, Rows
-from .frequencies import frequency_probes
-from .refit import Fits, evaluated, fit
-from .scan import Basis, Scan, all_probes, look, start_rows
-
-#: Further effects that set out beside a model, the candidates that go on after each round, and the most iterations of
-#: the rounds. The last goes on until all have settled: a law of three parameters cut short loses to one of two.
-FIELD = (14, 10, 5)
-ITERATIONS = (4, 4, 24)
-#: Fits of one candidate that go on after the first and after the second round: what leads early may be a side minimum.
-SIDES = (3, 2)
-#: Points of a candidate that are simulated, each with the base as fitted and as it would be with the effect there. It
-#: sets out from the best of them; the first few candidates from as many, for an axis that turns has side minima.
-STARTS, WIDELY = 4, 6
-#: Models to which a further effect is tried.
-LEADERS = 3
-
-Progress = Callable[[str, int], None]
+#: Steps of a refit after the noise model has changed.
+AGAIN = 5
 
 
 @dataclass
-class Model:
-    """A base with some effects, fitted.
+class Searched:
+    """Result of a search.
 
     Attributes:
-        members: Indices of the candidates in it.
-        fit: Its fit, one row.
-        settled: Whether it was followed to the last round.
+        fitted: All models that were fitted.
+        p_value: Family-wise p-value of the best candidate under the base model.
     """
 
-    members: tuple[int, ...]
-    fit: Fits
-    settled: bool = False
-
-    @property
-    def cost(self) -> float:
-        """Misfit and prior terms."""
-        return float(self.fit.cost[0])
-
-    @property
-    def chi2(self) -> float:
-        """Squares of whitened residuals."""
-        return float(self.fit.chi2[0])
+    fitted: FittedModels
+    p_value: float
 
 
-@dataclass
-class Level:
-    """What came of adding one more effect.
-
-    Attributes:
-        scan: First look beside the best model so far.
-        models: Models that were fitted, best first.
-    """
-
-    scan: Scan
-    models: list[Model]
+def nothing_searched(base: Base) -> Searched:
+    """Return the base model alone, for a case whose data cannot support a verdict."""
+    return Searched(FittedModels(base.contest, Model((), base.fit), []), 1.0)
 
 
-def overdispersion(contest: Contest, chi2: float) -> float:
-    """Return the squares left per measured number, at least one."""
-    return max(1.0, chi2 / contest.num_samples)
+def search(base: Base, evidence: Evidence, run: Run) -> Searched:
+    """Fit the candidates and, if an effect is missing, further ones beside the best; save a checkpoint."""
+    with run.timed("fits"):
+        contest = base.contest
+        models = first_level(contest, evidence.basis, evidence.scan, run.progress)
+        models += moved(contest, models[:2])
+        fitted = _recoloured(base, FittedModels(contest, Model((), base.fit), models))
+        least = run.settings.tolerance * base.motion
+        if evidence.p_value <= ALARM or lacks_fit(fitted, least):
+            _add_effects(fitted, run)
+    searched = Searched(fitted, evidence.p_value)
+    _save(searched, run)
+    return searched
 
 
-def penalty(contest: Contest, members: Sequence[int]) -> float:
-    """Return what an information criterion charges for effects: each parameter the logarithm of the sample size."""
-    return math.log(contest.num_samples) * sum(len(contest.candidates[c].columns) for c in members)
+def _recoloured(base: Base, fitted: FittedModels) -> FittedModels:
+    """Linearise noise of the force and bending of wood about the best model instead of the base, and refit."""
+    best = fitted.of_size(1)[0]
+    fitted.contest.overdispersion = fitted.overdispersion
+    if base.force_sigma is not None:
+        colour(fitted.contest, best.fit.batch, base.force_sigma)
+        add_wood(fitted.contest, best.fit.batch)
+    settled = [m for m in fitted.models if m.settled]
+    base_again = refitted(fitted.contest, [fitted.base], AGAIN)[0]
+    return FittedModels(fitted.contest, base_again, refitted(fitted.contest, settled, AGAIN))
 
 
-def first_look(
-    contest: Contest, fits: Fits, nulls: torch.Tensor | None = None, without: Sequence[int] = ()
-) -> tuple[Basis, Scan]:
-    """Look at all candidates beside a fitted model; ``nulls`` [V, N] are further residuals to be explained."""
-    basis = Basis(contest, fits)
-    oscillating, compared = frequency_probes(contest, basis, without)
-    probes = [*all_probes(contest, without), *oscillating]
-    residuals = basis.residual[None] if nulls is None else torch.cat([basis.residual[None], nulls])
-    scan = look(contest, basis, probes, residuals)
-    return basis, replace(scan, compared=[1] * (len(probes) - len(oscillating)) + [compared] * len(oscillating))
+def _add_effects(fitted: FittedModels, run: Run) -> None:
+    """Add a second effect to the leading models, and further ones, while these leave more than noise."""
+    for count in range(2, run.settings.max_effects + 1):
+        leaders = fitted.of_size(count - 1)[:LEADERS]
+        if not leaders or not fitted.needs_more(leaders[0]):
+            break
+        fitted.contest.overdispersion = fitted.overdispersion
+        further = next_level(fitted.contest, leaders, run.progress)
+        fitted.models += further + reduced(fitted.contest, further[:2])
 
 
-def first_level(contest: Contest, basis: Basis, scan: Scan, progress: Progress) -> Level:
-    """Fit the candidates that the scan favours, one beside the base."""
-    return Level(scan, _halved(contest, *_field(contest, [(basis, scan, ())], every=True), progress))
+# ---- checkpoint -----------------------------------------------------------------------------------------------------
 
 
-def next_level(contest: Contest, leaders: Sequence[Model], progress: Progress) -> Level:
-    """Fit the candidates that the scan favours beside each of the leading models."""
-    looks = []
-    for model in leaders:
-        basis, scan = first_look(contest, model.fit, without=model.members)
-        looks.append((basis, scan, model.members))
-        progress("looking", 1)
-    return Level(looks[0][1], _halved(contest, *_field(contest, looks, every=False), progress))
+def _save(searched: Searched, run: Run) -> None:
+    fitted, contest = searched.fitted, searched.fitted.contest
+    models = [vars(m) | {"fit": {**vars(m.fit), "batch": vars(m.fit.batch)}} for m in (fitted.base, *fitted.models)]
+    noise = {"nuisance": contest.nuisance, "overdispersion": contest.overdispersion}
+    noise["colour"] = None if contest.colour is None else vars(contest.colour)
+    run.keep.save("search", {"models": models, "p_value": searched.p_value, **noise})
 
 
-def reduced(contest: Contest, models: Sequence[Model]) -> list[Model]:
-    """Return models without one of their effects each, fitted from where they are.
-
-    An effect that no search from the base has found may stand once another has brought the rest near.
-    """
-    rows, members = [], []
-    for model in models:
-        for c in model.members:
-            own = model.fit.rows.copy()
-            own.active[:, list(contest.candidates[c].columns)] = False
-            rows.append(own)
-            members.append(tuple(m for m in model.members if m != c))
-    fits = fit(contest, Rows.joined(rows), ITERATIONS[-1])
-    return [Model(m, fits.one(s), True) for s, m in enumerate(members)]
-
-
-def moved(contest: Contest, models: Sequence[Model]) -> list[Model]:
-    """Return models with one effect at another joint each, fitted from where they are.
-
-    A base bent by an effect hides it at its own joint better than at the next one.
-    """
-    rows, members = [], []
-    for model in models:
-        for c in model.members:
-            for other in _same_law(contest, c, model.members):
-                own = model.fit.rows.copy()
-                old, new = (list(contest.candidates[k].columns) for k in (c, other))
-                own.active[:, old], own.active[:, new] = False, True
-                own.free[:, new] = torch.maximum(
-                    torch.minimum(model.fit.rows.free[:, old], contest.high[new]), contest.low[new]
-                )
-                rows.append(own)
-                members.append(tuple(sorted((set(model.members) - {c}) | {other})))
-    if not rows:
-        return []
-    fits = fit(contest, Rows.joined(rows), sum(ITERATIONS[1:]))
-    return [Model(m, fits.one(s), True) for s, m in enumerate(members)]
-
-
-def _same_law(contest: Contest, candidate: int, members: Sequence[int]) -> list[int]:
-    """Return the candidates with a candidate's law at other joints that a model has not got."""
-    name = contest.candidates[candidate].name
-    return [k for k, c in enumerate(contest.candidates) if c.name == name and k != candidate and k not in members]
-
-
-def _field(
-    contest: Contest, looks: Sequence[tuple[Basis, Scan, tuple[int, ...]]], *, every: bool
-) -> tuple[Rows, list[tuple[int, ...]]]:
-    """Rows that set out, and their members: the candidates that promise the least misfit, from their best probes.
-
-    With ``every`` the others set out too: a base that an effect has bent far enough hides that effect from the scan,
-    and may be a trap for its fits, which therefore set out beside the base at its typical values as well.
-    """
-    promised = _promised(contest, looks)
-    keys = sorted(promised, key=lambda key: promised[key][0])[: None if every else FIELD[0]]
-    starts = [_starts(contest, *looks[promised[key][1]][:2], promised[key][2]) for key in keys]
-    cost = evaluated(contest, Rows.joined(starts)).cost.split([len(s) for s in starts])
-    rows: list[Rows] = []
-    members: list[tuple[int, ...]] = []
-    for n, (key, own, misfit) in enumerate(zip(keys, starts, cost, strict=True)):
-        rows.append(own[misfit.argsort()[: STARTS if n < WIDELY else 1]])
-        if every or n < FIELD[0]:
-            rows.append(own[slice(0, 1)])
-            rows[-1].free[:, : contest.num_base] = contest.centre[: contest.num_base]
-        members += [key] * (sum(map(len, rows)) - len(members))
-    return Rows.joined(rows), members
-
-
-def _promised(
-    contest: Contest, looks: Sequence[tuple[Basis, Scan, tuple[int, ...]]]
-) -> dict[tuple[int, ...], tuple[float, int, int]]:
-    """Return by members the least misfit that a scan promises, which of the looks it was, and what is new in it."""
-    out: dict[tuple[int, ...], tuple[float, int, int]] = {}
-    for n, (basis, scan, beside) in enumerate(looks):
-        for c in {p.candidate for p in scan.probes}:
-            k = scan.best(c, 1)[0]
-            misfit = float(basis.fit.cost[0]) - float(scan.gain[0, k]) + penalty(contest, [c])
-            key = tuple(sorted((*beside, c)))
-            if key not in out or misfit < out[key][0]:
-                out[key] = (misfit, n, c)
-    return out
-
-
-def _starts(contest: Contest, basis: Basis, scan: Scan, candidate: int) -> Rows:
-    """Return the rows that set out from the probes of a candidate that promise most."""
-    return start_rows(contest, basis, scan, scan.best(candidate, STARTS))
-
-
-def refitted(contest: Contest, models: Sequence[Model], iterations: int) -> list[Model]:
-    """Return models fitted further, after the noise model has changed; best first."""
-    fits = fit(contest, Rows.joined([m.fit.rows for m in models]), iterations)
-    out = [Model(m.members, fits.one(s), m.settled) for s, m in enumerate(models)]
-    return sorted(out, key=lambda m: m.cost + penalty(contest, m.members))
-
-
-def _halved(contest: Contest, rows: Rows, members: list[tuple[int, ...]], progress: Progress) -> list[Model]:
-    """Fit rows in rounds; after each the better candidates go on. All models, best first."""
-    done: dict[tuple[int, ...], Model] = {}
-    for round_, iterations in enumerate(ITERATIONS):
-        fits = fit(contest, rows, iterations, lambda n: progress("fitting", n))
-        sides: dict[tuple[int, ...], list[Model]] = {key: [] for key in members}
-        for s in torch.argsort(fits.cost).tolist():
-            sides[members[s]].append(Model(members[s], fits.one(s)))
-        done |= {key: min([*own, done.get(key, own[0])], key=lambda m: m.cost) for key, own in sides.items()}
-        ranked = sorted(done, key=lambda key: done[key].cost + penalty(contest, key))
-        if round_ < len(SIDES):
-            ahead = [m for key in ranked[: FIELD[round_ + 1]] for m in sides.get(key, [done[key]])[: SIDES[round_]]]
-            rows, members = Rows.joined([m.fit.rows for m in ahead]), [m.members for m in ahead]
-    for key in members:
-        done[key].settled = True
-    return [done[key] for key in ranked]
+def restored(base: Base, run: Run) -> Searched | None:
+    """Return the search of an interrupted run, or None."""
+    state = run.keep.load("search")
+    if state is None:
+        return None
+    contest = base.contest
+    contest.nuisance, contest.overdispersion = state["nuisance"], state["overdispersion"]
+    contest.colour = None if state["colour"] is None else Colour(**state["colour"])
+    models = [Model(m["members"], Fits(**{**m["fit"], "batch": Batch(**m["fit"]["batch"])}), m["settled"])
+              for m in state["models"]]  # fmt: skip
+    return Searched(FittedModels(contest, models[0], models[1:]), state["p_value"])

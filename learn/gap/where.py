@@ -1,12 +1,13 @@
-"""Where a model is wrong: misfit over noise by recording and time, by what the probe does, and by joint.
+"""Where a model is wrong: normalised residuals by recording and time, by phase of the probe, and by joint.
 
-Misfit is measured minus simulated, every number over the deviation of its noise; its root mean square is one where
-nothing but noise is left. A part stands out where it is `CONTRAST` times the rest of its kind.
+The normalised residual is measured minus simulated, divided by the standard deviation of the noise. Its rms is one
+where only noise is left. A part stands out if its rms is at least `CONTRAST` times that of the rest of its kind.
 
-The torque that a branch's joints lack is quasi-static: an extra torque tau_i turns joint i by tau_i / K_i and moves the
-grasp point by that turn times its lever in the rest pose. Inertia, and gravity's share in the stiffness, are left out.
-One grasp point shows three numbers a window and joints have three each, so ridge regression takes the smallest torques
-that explain them: joints are told apart only as far as their levers differ in direction. Noise is taken for white.
+The residual torque of a branch's joints is quasi-static: an extra torque tau_i turns joint i by tau_i / K_i and moves
+the grasp point by that angle times its lever arm in the rest pose. Inertia, and gravity's share in the stiffness, are
+neglected. The grasp point gives three values per window and each joint has three unknown torques, so ridge regression
+selects the smallest torques that explain them; joints are distinguished only as far as their lever arms differ in
+direction. Noise is taken as white.
 """
 
 from __future__ import annotations
@@ -15,26 +16,27 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import savgol_filter
 
 from ...sim.base.types import Array
 from ..cases.case import BranchCase, JointCase
 from ..replay.equation_error import fits_torque
 from ..replay.recording import Recording
-from .contest import Contest
 from .diagnosis import Share, Where
+from .models.contest import Contest
 
-#: Time windows of the longest recording, and the fewest samples of one.
+#: Time windows of the longest recording, and the fewest samples per window.
 WINDOWS, FEWEST = 16, 4
-#: A part stands out, and a misfit is more than noise, from this ratio on; parts of fewer samples do not count.
+#: Ratio from which a part stands out or exceeds the noise; fewest samples of a part.
 CONTRAST, ENOUGH = 1.3, 10
-#: Trajectories that are named at most, and the least share of the worst one's misfit that names a further one.
+#: Most trajectories that are named, and the least rms relative to the worst one's.
 NAMED, NEARLY = 3, 0.7
-#: Misfit over noise that stands for a simulation that left the finite.
+#: Normalised residual assigned to a simulation that is not finite.
 BROKEN = 1e3
-#: A force is held where it changes by less than this share of its peak over a window of this share of the recording;
-#: below the share of the peak there is none.
+#: The force counts as held where it changes by less than this share of its peak over a window of this share of the
+#: recording; below that share of the peak there is no force.
 STEADY, SLOPE_WINDOW = 0.05, 0.04
-#: Of the mean squared response of the grasp point to joint torques.
+#: Ridge penalty, relative to the mean squared response of the grasp point to joint torques.
 RIDGE = 0.01
 
 PHASES = {
@@ -53,13 +55,13 @@ def locate(
     case: BranchCase | JointCase, recordings: Sequence[Recording], sigma: Array, output: Array,
     stiffness: Array | None = None,
 ) -> Where:  # fmt: skip
-    """Say where a model's simulation differs from what was measured.
+    """Return where a model's simulation differs from the measurement.
 
     Args:
         case: The case.
         recordings: R recordings.
-        sigma: Noise of the channels, shape [C], or of every number with what noise of the force adds, shape [R, T, C]
-            (`noise_seen`).
+        sigma: Noise of the channels, shape [C], or of each sample with the response to noise of the force, shape
+            [R, T, C] (`noise_seen`).
         output: Simulated channels, shape [R, T, C].
         stiffness: Springs of a branch's joints [N m/rad], shape [J], for the torque; None leaves it out.
     """
@@ -72,14 +74,14 @@ def locate(
     joints: tuple[int, ...] = ()
     if isinstance(case, BranchCase) and stiffness is not None:
         torque, noise = joint_torque(case, recordings, sigma, output, stiffness)
-        own, loud = _by_joint(case, recordings, torque, noise)
-        shares, joints = shares + own, loud if worst else ()
+        own, prominent = _by_joint(case, recordings, torque, noise)
+        shares, joints = shares + own, prominent if worst else ()
     windows = tuple(_window(heat, edges, recordings[j], j) for j in worst)
     return Where(worst, windows, joints, regime(shares), heat, edges, tuple(shares), torque)
 
 
 def noise_seen(contest: Contest) -> Array:
-    """Return the noise of every number with what noise of the force adds through the model, [R, T, C] (or [C])."""
+    """Return the noise of each sample including the response to noise of the force, [R, T, C] (or [C])."""
     if contest.colour is None:
         return contest.sigma.cpu().numpy()
     added = contest.colour.variance(contest.measured.shape[1:])  # type: ignore[arg-type]
@@ -87,7 +89,7 @@ def noise_seen(contest: Contest) -> Array:
 
 
 def scaled(recordings: Sequence[Recording], sigma: Array, output: Array) -> list[Array]:
-    """Return measured minus simulated over noise of every recording, [T, C]; NaN in channels without noise."""
+    """Return the normalised residuals of each recording, [T, C]; NaN in channels without noise."""
     out = []
     noise = np.broadcast_to(sigma, output.shape)
     for r, own, simulated in zip(recordings, noise, output, strict=True):
@@ -120,7 +122,7 @@ def _heat(recordings: Sequence[Recording], squares: Sequence[Array], edges: Arra
 
 
 def _worst(ratio: Array) -> tuple[int, ...]:
-    """Return the recordings beyond the noise that are nearly as bad as the worst, worst first."""
+    """Return the recordings above the noise that are nearly as bad as the worst, worst first."""
     order = np.argsort(-ratio)[:NAMED]
     return tuple(int(j) for j in order if ratio[j] > CONTRAST and ratio[j] >= NEARLY * ratio.max())
 
@@ -157,9 +159,7 @@ def phases(r: Recording) -> NDArray[np.str_]:
     size = np.linalg.norm(r.input, axis=1)
     peak = max(float(size[r.contact].max(initial=0.0)), 1e-300)
     half = max(2, round(0.5 * SLOPE_WINDOW * len(size)))
-    offset = np.arange(-half, half + 1)
-    padded = np.pad(size, half, mode="edge")
-    slope = np.correlate(padded, offset / np.sum(offset**2), mode="valid")  # least squares, a sample
+    slope = savgol_filter(size, 2 * half + 1, polyorder=1, deriv=1, mode="nearest")  # per sample
     change = slope * 2 * half / peak
     out = np.where(change > STEADY, "loading", np.where(change < -STEADY, "release", "hold"))
     out = np.where((out == "hold") & (size < STEADY * peak), "without force", out)
@@ -229,24 +229,24 @@ def _shares(parts: dict[str, Labels], squares: Sequence[Array]) -> list[Share]:
 
 
 def regime(shares: Sequence[Share]) -> str:
-    """Return a phrase that names the parts that stand out against the quieter ones of their kind."""
-    loud = {kind: _loud([s for s in shares if s.by == kind and s.samples >= ENOUGH]) for kind in PARTS}
-    phrases = [" and ".join(PHASES[s.part] for s in loud["phase"])]
+    """Return a phrase that names the parts that stand out against the better-fitted ones of their kind."""
+    prominent = {kind: _prominent([s for s in shares if s.by == kind and s.samples >= ENOUGH]) for kind in PARTS}
+    phrases = [" and ".join(PHASES[s.part] for s in prominent["phase"])]
     for kind, form in (("direction", "on pushes {}"), ("amplitude", "at {} amplitude"), ("speed", "at {} speed")):
-        phrases += [form.format(max(own, key=lambda s: s.ratio).part) for own in [loud[kind]] if own]
+        phrases += [form.format(max(own, key=lambda s: s.ratio).part) for own in [prominent[kind]] if own]
     if text := ", ".join(p for p in phrases if p):
         return text
     return "everywhere alike" if any(s.ratio > CONTRAST for s in shares) else "nowhere beyond the noise"
 
 
-def _loud(shares: Sequence[Share]) -> list[Share]:
-    """Return the parts of one kind beyond the noise, nearly as bad as its worst, and worse than the quieter ones."""
+def _prominent(shares: Sequence[Share]) -> list[Share]:
+    """Return the parts of a kind that exceed the noise, the better-fitted parts, and `NEARLY` times the worst."""
     worst = max((s.ratio for s in shares), default=0.0)
-    return [s for s in shares if s.ratio > max(CONTRAST * max(_quieter(s, shares), 1.0), NEARLY * worst)]
+    return [s for s in shares if s.ratio > max(CONTRAST * max(_better(s, shares), 1.0), NEARLY * worst)]
 
 
-def _quieter(share: Share, shares: Sequence[Share]) -> float:
-    """Return the ratio of all parts together that are quieter than one; infinite if there are none."""
+def _better(share: Share, shares: Sequence[Share]) -> float:
+    """Return the pooled ratio of all parts with a smaller ratio; infinite if there are none."""
     others = [s for s in shares if s.ratio < share.ratio]
     count = sum(s.samples for s in others)
     return float(np.sqrt(sum(s.samples * s.ratio**2 for s in others) / count)) if count else np.inf
@@ -258,9 +258,9 @@ def _quieter(share: Share, shares: Sequence[Share]) -> float:
 def joint_torque(
     case: BranchCase, recordings: Sequence[Recording], sigma: Array, output: Array, stiffness: Array
 ) -> tuple[Array, Array]:
-    """Return the torque that every joint lacks, and what noise alone would make of it, rms [N m], both [R, J].
+    """Return the residual torque of each joint, and what noise alone would give, rms [N m], both [R, J].
 
-    It is constant in a window and has three components a joint. Arguments as in `locate`.
+    It is constant in a window and has three components per joint. Arguments as in `locate`.
     """
     edges = window_edges(recordings)
     noise = np.broadcast_to(sigma, output.shape)
@@ -298,7 +298,7 @@ def _estimator(case: BranchCase, r: Recording, stiffness: Array) -> Array:
 def _by_joint(
     case: BranchCase, recordings: Sequence[Recording], torque: Array, noise: Array
 ) -> tuple[list[Share], tuple[int, ...]]:
-    """Torque over its noise at every joint, and the joints that stand out, largest torque first."""
+    """Return residual torque over its noise for each joint, and the joints that stand out, largest torque first."""
     samples = np.array([len(r.t) for r in recordings])
     size, floor = (np.sqrt(np.average(x**2, axis=0, weights=samples)) for x in (torque, noise))
     ratio = size / np.maximum(floor, 1e-300)
@@ -307,5 +307,5 @@ def _by_joint(
         for i, name in enumerate(case.segment_name)
         if floor[i] > 0.0
     ]
-    loud = [int(i) for i in np.argsort(-size) if ratio[i] > CONTRAST and 2.0 * size[i] >= size.max()]
-    return shares, tuple(loud)
+    prominent = [int(i) for i in np.argsort(-size) if ratio[i] > CONTRAST and 2.0 * size[i] >= size.max()]
+    return shares, tuple(prominent)

@@ -1,4 +1,4 @@
-"""Driving the rig: all recordings of a case, from rest, with whatever is hidden in it."""
+"""Simulation of all recordings of a case from rest, with its hidden effects."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from .branch import Array, Branch
 from .parts import AIR, Law, Now, Part
 from .rig import Rig, engine, rig
 
-#: Coming to rest: dampers so many times as strong, for so long [s], in steps of so much [s].
+#: Settling to rest: factor of the dampers, duration [s] and time step [s].
 CALMING, CALM_TIME, CALM_STEP = 6.0, 3.2, 4e-3
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What N recordings of T samples show.
+    """N recordings of T samples.
 
     Attributes:
         moved: Displacement of the point that is held from the grasp point's calm rest position [m], shape [N, T, 3].
@@ -104,7 +104,7 @@ def _thinned(model: Any) -> float:
 
 
 def between(forces: Array, rate: float, dt: float) -> tuple[Array, int, float]:
-    """Return forces in the middle of each step [N, S, 3], steps a sample, and the step [s]: at most about ``dt``."""
+    """Return forces in the middle of each step [N, S, 3], steps per sample, and the step [s]: at most about ``dt``."""
     steps = round(1 / (rate * dt))
     samples = forces.shape[1]
     # One more step so that the sensors see the last sample.
@@ -145,7 +145,7 @@ def _one_by_one(made: Rig, forces: Array, rate: float, laws: list[Law], clock: A
 
 
 def _rested(made: Rig, laws: Sequence[Law], count: int) -> list[Any]:
-    """Let the branch come to rest without force; laws whose memory fades have forgotten by then."""
+    """Let the branch settle without force; fading memory of laws has decayed by then."""
     staying = [law for law in laws if not law.fading]
     calm = Rig(made.branch, copy.copy(made.model), made.data, made.joints, made.frames)
     calm.model.dof_damping *= CALMING

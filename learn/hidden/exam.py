@@ -1,4 +1,4 @@
-"""Which cases an exam holds: nothing hidden, one effect, two, or one that is on no list."""
+"""Cases of an exam: nothing hidden, one effect, two, or one that is not among the known ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .names import NAMES, OUTSIDE
 MIX: tuple[Literal["null", "single", "pair", "outside"], ...] = (
     "null", "single", "pair", "null", "single", "outside", "null", "single",
 )  # fmt: skip
-#: Two of these make no pair: they cannot be told apart when each is there alone.
+#: Two of these make no pair: they are indistinguishable.
 _SAME = ({"force_bias", "gravity_comp_error", "steady_wind"}, {"dry_friction", "hysteresis_boucwen"})
 
 

@@ -1,4 +1,4 @@
-"""A measured case with effects hidden in it, from a simulator that is not bough's."""
+"""A synthetic measured case with hidden effects, recorded by another simulator than bough."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .sizing import Bench, readings, strength, visible_gap
 
 #: Sizes of effects: rms change of displacement at the true springs, over its rms; log-uniform between these.
 SIZES = (0.05, 0.30)
-#: An effect that cannot reach its size is drawn anew, with another sign or shape, so often.
+#: How often an effect that cannot reach its size is redrawn, with another sign or shape.
 REDRAWS = 3
 _WHO = "bough hide"
 
@@ -69,7 +69,7 @@ def hide(
         segments: Number of segments R.
         noise: Noise on displacement and velocity as a fraction of their rms; the force has half of it.
         rate: Sampling rate [Hz]; drawn from 20, 25 and 40 if None.
-        samples: Samples a recording T.
+        samples: Samples per recording T.
         size: Size of each effect, as in `SIZES`; drawn if None.
         sub: Sub-links per segment.
         wood: Bend of a segment's wood, see `rig.build`.

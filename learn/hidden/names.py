@@ -1,4 +1,4 @@
-"""Names that can be hidden, and which of them a case cannot tell apart in principle."""
+"""Names of hidden effects, and which of them are indistinguishable in principle."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NAMES = (
     "force_bias", "force_scale", "time_delay", "steady_wind", "wind_gust", "gravity_comp_error",
     "anisotropic_stiffness", "bending_torsion_coupling",
 )  # fmt: skip
-#: Names on no list.
+#: Effects that are not among the known ones.
 OUTSIDE = tuple(outside_laws.RECIPES)
 #: All of them.
 RECIPES: dict[str, Recipe] = {
@@ -32,5 +32,5 @@ _ALIKE = {
 
 
 def equivalents(names: Sequence[str]) -> dict[str, list[str]]:
-    """Return the names that a case like these cannot tell from the hidden ones in principle."""
+    """Return the names that are indistinguishable in principle from the hidden ones."""
     return {name: [other for other in _ALIKE[name] if other not in names] for name in names if name in _ALIKE}

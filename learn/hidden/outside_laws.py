@@ -1,4 +1,4 @@
-"""Hidden effects that are on no list, for cases whose right answer is "none of the names"."""
+"""Hidden effects that are not among the known ones: the right verdict is unknown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a hidden effect is made of: a change of the rig, a law in its steps, a fault of its sensors."""
+"""Parts of a hidden effect: a change of the rig, a law at every step, a sensor fault."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from .branch import Array, Branch
 from .rig import Rig, Trunk
 
-#: Air that blows but does not drag by itself [kg/m^3].
+#: Density of air for wind without drag of still air [kg/m^3].
 AIR = 1.2
 
 
 class Now:
-    """One moment of N rigs that step side by side: what laws see and what they add.
+    """State of N rigs at one time step: what laws read and what they add.
 
     Attributes:
         rig: The rig, one model for all.
@@ -95,7 +95,7 @@ class Law:
     fading = False
 
     def begin(self, now: Now) -> None:
-        """Start a recording; a law whose memory fades forgets it."""
+        """Start a recording: fading memory is reset."""
 
     def act(self, now: Now) -> None:
         """Add to ``now.push``, ``now.couple`` or, by `Now.twist`, torques."""

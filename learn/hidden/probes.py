@@ -216,7 +216,7 @@ def recorded(experiment: Experiment, options: dict[str, Any]) -> Readings:
 def truth(
     experiment: Experiment, seen: Readings, sigma: list[float], noise: float, sub: int, wood: float
 ) -> dict[str, Any]:
-    """Return what every answer tells of the branch and the noise."""
+    """Return the part of an answer on branch and noise."""
     branch = experiment.branch
     return {
         "seed": experiment.seed, "K": branch.stiffness, "D": branch.damping, "wood": wood, "sub_links": sub,

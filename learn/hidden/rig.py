@@ -1,4 +1,4 @@
-"""A branch compiled for C MuJoCo, finer than any model that will be fitted to it.
+"""A branch compiled for MuJoCo, with a finer discretisation than the fitted models.
 
 Each segment turns on a ball joint at its lower end and is itself cut into sub-links on stiff ball joints, so that the
 wood bends a little. Springs are wound up so that the given pose is the equilibrium under gravity.

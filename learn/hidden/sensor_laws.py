@@ -1,4 +1,4 @@
-"""Hidden faults of the force sensor. The branch moves as ever; the recorded force is not the one that acts."""
+"""Hidden faults of the force sensor: the motion is unchanged, the recorded force differs from the true one."""
 
 from __future__ import annotations
 

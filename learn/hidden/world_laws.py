@@ -1,4 +1,4 @@
-"""Hidden effects that have no joint: added bodies, the air, the grip."""
+"""Hidden effects that do not act at a joint: added bodies, air, grip."""
 
 from __future__ import annotations
 

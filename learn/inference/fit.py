@@ -1,4 +1,4 @@
-"""Finding the modes of a target before particles are spread over them: Levenberg-Marquardt from many starts at once."""
+"""Modes of a target by Levenberg-Marquardt from many starts in one batch, before particles are spread over them."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import torch
 from ..systems.system import least_precision
 from .target import Target
 
-#: A climb is over when a round of six iterations gains less than this in log density, or after so many rounds.
+#: Convergence: least gain in log density per round of six iterations, and most rounds.
 SETTLED, ROUNDS = 0.1, 10
-#: Steps towards the likeliest noise where the force's noise correlates the channels.
+#: Steps towards the maximum-likelihood noise where noise of the force correlates the channels.
 NOISE_STEPS = 20
 
 
 @dataclass(frozen=True)
 class Modes:
-    """Where the starts ended.
+    """Modes that the starts converged to.
 
     Attributes:
         theta: Vectors [S, D]; the noise entries are at their conditional optimum.
@@ -55,14 +55,14 @@ def levenberg_marquardt(
     frozen: int = 0,
     progress: Callable[[int], None] = lambda _: None,
 ) -> torch.Tensor:
-    """Climb the Gaussian log posterior at each start's own noise from every start, shape [S, D].
+    """Maximise the Gaussian log posterior from every start [S, D], at each start's own noise.
 
-    Only the first ``horizon`` share of every recording counts: oscillations that are out of step further on do not pull
-    a start into a side minimum. The first ``frozen`` entries stay as they are.
+    Only the first ``horizon`` share of every recording is used: on a short horizon, oscillations that drift out of
+    phase later do not cause local minima. The first ``frozen`` entries stay fixed.
     """
     free = target.num_parameters + target.num_starts
     window, noise = _window(target, horizon), _noise(target, theta)
-    # every other start feels the pull alone: the prior's curvature may lead all of them into one side minimum
+    # every other start omits the prior's curvature, which may lead all of them into one local minimum
     bent = (torch.arange(len(theta), device=theta.device) % 2 == 0).double()[:, None, None]
     damping = torch.full_like(theta[:, 0], 1e-2)
     best, best_cost = theta.clone(), torch.full_like(damping, torch.inf)
@@ -109,7 +109,7 @@ def _noise(target: Target, theta: torch.Tensor) -> torch.Tensor:
 
 
 def _white_rows(target: Target, rows: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
-    """Jacobian rows [S, R, T, C, m] whitened as residuals are, [S, R T C, m]."""
+    """Jacobian [S, R, T, C, m] whitened like the residuals, [S, R T C, m]."""
     return target.whiten(rows.permute(0, 4, 1, 2, 3), noise).flatten(2).transpose(1, 2)
 
 
@@ -130,11 +130,11 @@ def _prior_gradient(target: Target, theta: torch.Tensor) -> torch.Tensor:
 def prior_curvature(target: Target, theta: torch.Tensor) -> torch.Tensor:
     """Return the negative Hessian of the log prior, without its negative directions, shape [S, D, D].
 
-    A narrow prior (an earlier posterior, the wall of the box) would else pull with a force that no curvature answers.
+    Without it, a narrow prior (an earlier posterior, the edge of the box) would give a gradient without curvature.
     """
     leaf = theta.detach().requires_grad_()
     slope = torch.autograd.grad(target.prior(leaf).sum(), leaf, create_graph=True)[0]
-    # a row's density depends on that row alone: one backward pass a coordinate, all at once, gives every row's Hessian
+    # densities of different vectors are independent: one batched backward pass per coordinate gives all Hessians
     each = torch.eye(theta.shape[1]).to(theta)[:, None].expand(-1, *theta.shape)
     hessian = torch.autograd.grad(slope, leaf, each, is_grads_batched=True)[0].transpose(0, 1)
     value, vector = torch.linalg.eigh(torch.nan_to_num(-0.5 * (hessian + hessian.transpose(1, 2))))
@@ -142,10 +142,10 @@ def prior_curvature(target: Target, theta: torch.Tensor) -> torch.Tensor:
 
 
 def settle_noise(target: Target, theta: torch.Tensor) -> torch.Tensor:
-    """Return theta with every group's noise at its most likely value given the rest.
+    """Return theta with every group's noise at its maximum-likelihood value given the rest.
 
-    At that value the group's share of the whitened residuals' squares is its number of samples, which gives the noise
-    in one step where residuals are white. Where groups are correlated a step is taken as far as the likelihood rises.
+    There the group's sum of squared whitened residuals equals its number of samples, which gives the noise in one step
+    if residuals are white. If groups are correlated, steps are taken while the likelihood rises.
     """
     if not target.num_noise:
         return theta
@@ -168,20 +168,20 @@ def _noise_step(target: Target, residual: torch.Tensor, noise: torch.Tensor) -> 
 
 
 def find_modes(target: Target, starts: torch.Tensor, progress: Callable[[int], None] = lambda _: None) -> Modes:
-    """Climb from every start [S, D] over growing horizons and return where they end.
+    """Maximise the log posterior from every start [S, D] over growing horizons and return the modes.
 
-    What has not come near by the end of the last horizon ends in side minima: the better half goes on, and of these the
-    better half until it has settled.
+    After the last horizon the better half of the starts goes on, and of these the better half until convergence; the
+    others are in local minima.
     """
     theta = starts
     horizons, iterations = ((0.03, 0.1, 0.3, 1.0), 10) if target.num_starts else ((0.15, 0.4, 1.0), 7)
     for horizon in horizons:
         theta = levenberg_marquardt(target, theta, iterations=iterations, horizon=horizon, progress=progress)
     ahead = _best(target, theta, len(theta) // 2)
-    # what is left over says how to weigh the channels, and that moves the mode
+    # the residuals determine the noise of the channels, which moves the mode
     theta[ahead] = levenberg_marquardt(target, settle_noise(target, theta[ahead]), iterations=12, progress=progress)
     ahead = _best(target, theta, len(theta) // 4)
-    theta[ahead] = climb_until_settled(target, theta[ahead], progress)
+    theta[ahead] = climb_until_converged(target, theta[ahead], progress)
     theta = settle_noise(target, theta)
     evaluation = target.evaluate(theta)
     return Modes(theta, torch.nan_to_num(evaluation.log_posterior, nan=-torch.inf), precision_at(target, theta))
@@ -193,12 +193,12 @@ def _best(target: Target, theta: torch.Tensor, count: int) -> torch.Tensor:
     return torch.argsort(density, descending=True)[: max(1, count)]
 
 
-def climb_until_settled(
+def climb_until_converged(
     target: Target, theta: torch.Tensor, progress: Callable[[int], None] = lambda _: None
 ) -> torch.Tensor:
-    """Climb from vectors [S, D], noise and the rest in turn, until none gains `SETTLED` over a round of six iterations.
+    """Maximise from vectors [S, D], noise and the rest in turn, until none gains `SETTLED` in six iterations.
 
-    Along the valley in which neighbouring joints trade stiffness, some starts need fifty iterations.
+    Stiffnesses of neighbouring joints are strongly correlated, so that some starts need fifty iterations.
     """
     theta, before = settle_noise(target, theta), torch.full_like(theta[:, 0], -torch.inf)
     for _ in range(ROUNDS):
@@ -211,7 +211,7 @@ def climb_until_settled(
 
 
 def representatives(modes: Modes) -> list[int]:
-    """Return for every start the best one that ended at the same mode, within three of its deviations."""
+    """Return for every start the best one at the same mode, within three standard deviations."""
     out = [-1] * len(modes.theta)
     found: list[int] = []
     for i in torch.argsort(modes.log_posterior, descending=True).tolist():
@@ -224,16 +224,16 @@ def representatives(modes: Modes) -> list[int]:
 
 
 def refine(target: Target, modes: Modes, keep: int = 4) -> Modes:
-    """Climb again from the best few modes, after the target's noise model has changed; all starts go with theirs."""
+    """Refit the best few modes after the target's noise model has changed; every start follows its mode."""
     of = torch.tensor(representatives(modes), device=modes.theta.device)
     ranked = modes.log_posterior.argsort(descending=True)
     order = ranked[of[ranked] == ranked][:keep]
     theta = modes.theta[order]
-    if target.num_noise:  # the old model took for noise what the new one may explain
+    if target.num_noise:  # the old noise model counted as noise what the new one may explain
         theta = torch.cat([theta[:, : -target.num_noise], target.log_noise0.expand(len(theta), -1)], 1)
-    theta = climb_until_settled(target, levenberg_marquardt(target, theta, iterations=12))
+    theta = climb_until_converged(target, levenberg_marquardt(target, theta, iterations=12))
     found = torch.nan_to_num(target.log_density(theta), nan=-torch.inf)
-    # what was not climbed again keeps its distance to the best of what was
+    # modes that were not refitted keep their distance to the best refitted one
     log_posterior = modes.log_posterior + (found.max() - modes.log_posterior.max())
     moved, precision, fresh = modes.theta.clone(), modes.precision.clone(), precision_at(target, theta)
     for k, i in enumerate(order.tolist()):
@@ -259,9 +259,9 @@ def precision_at(target: Target, theta: torch.Tensor) -> torch.Tensor:
 
 
 def _published_rows(target: Target, theta: torch.Tensor, derivative: torch.Tensor) -> torch.Tensor:
-    """Rows whose squares are the curvature of the published loss, |J dx|^2 / (kT |r|) a recording and kind.
+    """Jacobian whose Gram matrix is the curvature of the published loss, |J dx|^2 / (kT |r|) per recording and kind.
 
-    At an exact fit the loss is a cone; its typical radius, D kT, stands in for |r| there.
+    At an exact fit the loss is a cone; its typical radius, D kT, replaces |r| there.
     """
     r = target.residual(target.predict(theta))
     rows = jacobian_rows(target, derivative).permute(0, 4, 1, 2, 3) * target.weight

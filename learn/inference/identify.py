@@ -1,4 +1,4 @@
-"""Learning the springs of a recorded case, predicting what was held out, and saying so in a report."""
+"""Identification of a recorded case: posterior of its parameters, held-out prediction, report."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from .settings import Settings
 from .target import Target
 
 Progress = Callable[[str, int], None]
-#: No sensor on a branch is taken for finer than this share of what it reads; exact data would rank rounding errors.
+#: Least noise of a branch's sensors relative to their rms; with exact data rounding errors would count as misfit.
 FINEST = 1e-4
 
 
 def split(case: BranchCase | JointCase) -> tuple[list[int], list[int]]:
     """Return indices of the trajectories to learn from and to hold out.
 
-    As the case says, where it does. Else about a quarter is held out: the last trajectories that no other repeats and
-    that repeat no other, so that what is held out was seen in no form. A single recording of torques is fitted and
-    judged as a whole: its samples are thousands of experiments.
+    The split that the case states, if any. Otherwise about a quarter is held out: the last trajectories without
+    replicates, so that no replicate of a held-out one is in the training set. A single recording of torques is used for
+    both, because its samples are thousands of experiments.
 
     Raises:
         InputError: There are fewer than two trajectories.
@@ -79,7 +79,7 @@ def folds(case: BranchCase | JointCase, count: int) -> list[list[int]]:
 def pooled_sigma(case: BranchCase | JointCase, noise: NoiseEstimate) -> Array:
     """Return the noise of the channels that are predicted, at least `FINEST` of their rms.
 
-    The axes of a branch share one value a kind; across the plane of a planar case it is zero.
+    The axes of a branch share one value per kind; across the plane of a planar case it is zero.
     """
     if isinstance(case, BranchCase):
         moved = [np.concatenate([getattr(t, k) for t in case.trajectories]) for k in ("displacement", "velocity")]
@@ -205,7 +205,7 @@ def _check_moves(case: BranchCase | JointCase, j: int, recording: Recording) -> 
 
 
 def _check_box(case: BranchCase | JointCase, posterior: Posterior) -> None:
-    """Raise `InputError` where all particles lie beyond one end of the prior's box: data and prior contradict."""
+    """Raise `InputError` if all particles lie beyond one end of the prior's box: data and prior contradict."""
     for p, x in zip(posterior.parameters, posterior.free.T, strict=True):
         beyond = {p.low: bool((x < p.free(p.low)).all()), p.high: bool((x > p.free(p.high)).all())}
         for end, all_beyond in beyond.items():

@@ -1,4 +1,4 @@
-"""What came out of an identification."""
+"""The result of an identification."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Outcome:
     """Everything a report is made of.
 
     Attributes:
-        train, test: Indices of the trajectories learnt from and held out; with folds all of them are both.
+        train, test: Indices of training and held-out trajectories; with cross-validation all are both.
         seconds: Wall time of each stage.
-        world_steps: World-steps simulated for learning.
+        world_steps: World-steps simulated for inference.
     """
 
     case: BranchCase | JointCase
@@ -37,10 +37,10 @@ class Outcome:
 
     @property
     def noise_floor(self) -> float:
-        """Misfit that a perfect model would leave, in the main channels' unit."""
+        """Noise floor: held-out RMSE of a perfect model, in the main channels' unit."""
         return float(np.sqrt(np.mean(self.sigma[list(self.prediction.main)] ** 2)))
 
     @property
     def ratio(self) -> float:
-        """Held-out misfit over the noise."""
+        """Held-out RMSE over the noise floor."""
         return self.prediction.rms / self.noise_floor

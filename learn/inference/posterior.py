@@ -1,4 +1,4 @@
-"""From a target to particles: modes first, then a sampler in coordinates whitened at the best of them."""
+"""Sampling a target: modes first, then a sampler in coordinates whitened at the best mode."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from .fit import Modes, find_modes, refine, representatives
 from .target import Target
 
 Progress = Callable[[str, int], None]
-#: How often the response to the force's noise is found anew at the best mode: the first mode, found without it, may be
-#: several deviations off where that noise dominates.
+#: How often the response to noise of the force is linearised again at the best mode: the first mode, found without it,
+#: may be several standard deviations off where that noise dominates.
 COLOURINGS = 2
-#: Half the distance in a free coordinate over which the slope of the response's power is taken.
+#: Central-difference step in a free coordinate for the slope of the response's power.
 COLOUR_STEP = 0.05
 
 
@@ -37,13 +37,13 @@ class Posterior:
     Attributes:
         parameters: The n unknowns.
         particles: Their values in SI units, shape [P, n].
-        theta: The target's own vectors, shape [P, D].
+        theta: The target's vectors, shape [P, D].
         noise: Inferred noise of every channel, shape [P, C].
         log_posterior: Up to a constant, shape [P].
         trace_log_posterior: Of every particle (or chain) at every iteration, shape [I, P].
-        trace_mean: Mean of the particles at every iteration, in posterior deviations from the best mode, shape [I, D].
+        trace_mean: Mean of the particles at every iteration, in posterior standard deviations about the mode, [I, D].
         agreement: Share of starts that ended within 3 of the best log posterior.
-        convergence: Whether the sampler converged, why, and the numbers behind it.
+        convergence: Whether the sampler converged, with its diagnostics.
         geometry: What a branch's springs refer to: ``segment_name``, ``segment_length_m``, ``segment_radius_m``.
     """
 
@@ -93,7 +93,7 @@ def initial_vectors(target: Target, count: int, generator: torch.Generator) -> t
     typical = torch.tensor([p.start for p in target.system.parameters], dtype=torch.float64)
     low, high = (end.cpu() for end in target.box)
     scatter = torch.randn(count, n, generator=generator, dtype=torch.float64) * ((high - low) / 8.0).clamp(max=2.0)
-    # half of the starts scale all parameters together: the overall size is the least known
+    # half of the starts scale all parameters by one factor: the overall scale is the least known
     together = torch.randn(count, 1, generator=generator, dtype=torch.float64) * ((high - low) / 8.0).clamp(max=1.5)
     scatter = torch.where(torch.arange(count)[:, None] % 2 == 0, together, scatter)
     scatter[0] = 0.0
@@ -107,9 +107,9 @@ def initial_vectors(target: Target, count: int, generator: torch.Generator) -> t
 class Whitened:
     """A target's density in coordinates z = L^T (theta - centre), L L^T the precision at the centre.
 
-    A `samplers.choose.Density`, NaN where a world did not survive. Gradients combine residuals at z with derivatives
-    of the simulation that are taken anew only when some particle has moved by `STALE` deviations since: within that
-    distance they change by about a percent, and each costs two worlds a parameter.
+    A `samplers.choose.Density`, NaN where a simulation is not finite. Gradients combine residuals at z with derivatives
+    of the simulation that are recomputed only when some particle has moved by `STALE` standard deviations: within that
+    distance they change by about a percent, and each costs two worlds per parameter.
 
     Attributes:
         taken_at: Where the derivatives were taken, shape [P, D], or None.
@@ -169,11 +169,11 @@ def infer(
         method: Sampler, see `samplers.choose.make_sampler`.
         particles: Number of particles, or of chains.
         iterations: Updates of the sampler.
-        seed: Of every random number used.
+        seed: Seed of all random numbers.
         starts: Starts of the search for modes.
-        force_sigma: Noise of a branch's force [N], shape [3], to be seen through the model; None takes it for exact.
-        checkpoint: Where to keep what has been reached.
-        name: Of this inference in the checkpoint.
+        force_sigma: Noise of a branch's force [N], shape [3], propagated through the model; None takes it as exact.
+        checkpoint: Where intermediate states are kept.
+        name: Name of this inference in the checkpoint.
         progress: Called with a stage (``modes`` or ``particles``) and the number of steps done.
 
     Raises:
@@ -204,7 +204,7 @@ def sample(
     generator = torch.Generator().manual_seed(seed + 1)
     first = density.z(spread(modes, particles, generator))
     sampler = make_sampler(method, first, iterations=iterations, seed=seed)
-    trace_z, trace_p = _gone(sampler, density, keep.load(f"{name}.sampler"))
+    trace_z, trace_p = _restored(sampler, density, keep.load(f"{name}.sampler"))
     progress("particles", len(trace_z))
     for _ in range(len(trace_z), iterations):
         trace_z.append(sampler.step(density).clone())
@@ -222,7 +222,7 @@ def sample(
 def _modes(
     target: Target, seed: int, starts: int, force_sigma: Array | None, keep: Checkpoint, name: str, progress: Progress
 ) -> Modes:
-    """Find the modes, then again with the force's noise seen through the model at the best of them."""
+    """Find the modes, then again with noise of the force propagated through the model at the best of them."""
     done = keep.load(f"{name}.modes")
     if done is None:
         generator = torch.Generator().manual_seed(seed)
@@ -240,7 +240,7 @@ def _modes(
 
 
 def _colour(target: Target, centre: torch.Tensor, force_sigma: Array | None) -> None:
-    """Give a branch's target the noise of its force, seen through the model at ``centre`` [D]."""
+    """Set the noise of a branch's force in its target, propagated through the model at ``centre`` [D]."""
     assert isinstance(target.case, BranchCase) and force_sigma is not None
     u = target.split(centre[None])[0]
     steps = COLOUR_STEP * torch.eye(u.shape[1], dtype=u.dtype, device=u.device)
@@ -254,9 +254,9 @@ def _colour(target: Target, centre: torch.Tensor, force_sigma: Array | None) -> 
 
 
 def spread(modes: Modes, count: int, generator: torch.Generator) -> torch.Tensor:
-    """Place particles about the modes in proportion to their Laplace evidence, a little wider than they will end.
+    """Draw initial particles about the modes in proportion to their Laplace evidence, 1.2 times too wide.
 
-    Starts that ended at the same mode (within three of its deviations) count once.
+    Starts at the same mode (within three standard deviations) count once.
     """
     of = representatives(modes)
     distinct = [i for i in range(len(of)) if of[i] == i and bool(torch.isfinite(modes.log_posterior[i]))]
@@ -268,10 +268,10 @@ def spread(modes: Modes, count: int, generator: torch.Generator) -> torch.Tensor
     return modes.theta[torch.tensor(distinct)[chosen]] + off
 
 
-def _gone(
+def _restored(
     sampler: Any, density: Whitened, state: dict[str, Any] | None
 ) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
-    """Bring a sampler and its density to where a checkpoint left them; return the traces so far."""
+    """Restore a sampler and its density from a checkpoint; return the traces so far."""
     if state is None:
         return [], []
     sampler.load(state["sampler"])
@@ -306,7 +306,7 @@ def _posterior(
 
 
 def _thinned(z: torch.Tensor, p: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """At most ``count`` draws, evenly from the second half of all chains."""
+    """Return at most ``count`` draws, evenly spaced over the second half of all chains."""
     half = len(z) // 2
     flat, log_p = z[half:].flatten(0, 1), p[half:].flatten()
     picked = torch.linspace(0, len(flat) - 1, min(count, len(flat)), device=z.device).round().long()

@@ -1,4 +1,4 @@
-"""What a posterior predicts of recordings it has not seen, and how well."""
+"""Posterior predictive distribution of recordings, and its scores."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from .fit import levenberg_marquardt
 from .posterior import Posterior
 from .target import Target
 
-#: A start state that was not measured is taken from this much of a held-out recording [s].
+#: A start state that was not measured is fitted to this much of a held-out recording [s].
 START_WINDOW = 0.3
-#: Windows of a recording in which misfit is set against amplitude.
+#: Windows per recording in which RMSE is compared with amplitude.
 WINDOWS = 12
 
 
@@ -31,13 +31,13 @@ class Prediction:
     """Predicted channels of some recordings, lists over recordings of arrays [T, C].
 
     Attributes:
-        median, low, high: Median and 95 % interval of what a sensor would read, noise included.
-        measured: What it read.
-        level: Share of the predicted distribution below what was read.
-        nll: Negative log predictive density of what was read.
+        median, low, high: Median and 95 % interval of the measurement, noise included.
+        measured: The measurement.
+        level: Predictive cumulative distribution at the measurement.
+        nll: Negative log predictive density of the measurement.
         crps: Continuous ranked probability score, in the channels' unit.
         t: Times [s], arrays [T].
-        main: Channels that the scores are about (displacement, or the outputs of the first kind).
+        main: Channels that are scored (displacement, or the outputs of the first kind).
     """
 
     median: list[Array]
@@ -67,12 +67,12 @@ class Prediction:
 
     @property
     def rms(self) -> float:
-        """Root mean square of measured minus median."""
+        """Root mean square error: measured minus median."""
         return float(np.sqrt(np.mean((self._all("measured") - self._all("median")) ** 2)))
 
     @property
     def mean_nll(self) -> float:
-        """Mean negative log predictive density of a point, unit of the channel inside the logarithm."""
+        """Mean negative log predictive density per point; the density is per unit of the channel."""
         return float(self._all("nll").mean())
 
     @property
@@ -86,10 +86,10 @@ class Prediction:
         return [m - p for m, p in zip(self.measured, self.median, strict=True)]
 
     def by_amplitude(self) -> tuple[Array, Array]:
-        """Return the rms of what was measured (about its mean) and of the misfit in windows, shapes [W], by amplitude.
+        """Return the rms of the measurement (about its mean) and the RMSE in time windows, shapes [W], by amplitude.
 
-        Every recording gives up to `WINDOWS` windows of equal length. What grows with the amplitude, the model lacks;
-        noise does not.
+        Every recording gives up to `WINDOWS` windows of equal length. Noise does not grow with the amplitude; errors of
+        the model do.
         """
         pairs = []
         for y, m in zip(self.measured, self.median, strict=True):
@@ -117,8 +117,8 @@ def predict(
     """Predict recordings from a posterior; start states not known beforehand come from their first 0.3 s.
 
     The predictive density is a Gaussian kernel density estimate over the particles' simulations at every time step
-    (Scott's bandwidth), with the inferred noise of the channel and, where ``force_sigma`` [3] is given, what the
-    force's noise adds through the model.
+    (Scott's bandwidth), with the inferred noise of the channel and, where ``force_sigma`` [3] is given, the response
+    to noise of the force.
     """
     target = Target(case, recordings, sigma, unknowns=unknowns, device=device)
     theta = _with_starts(case, posterior, recordings, sigma, target, unknowns, device)
@@ -149,7 +149,7 @@ def predict(
 def _scores(recording: Recording, clean: torch.Tensor, variance: torch.Tensor) -> dict[str, Array]:
     """Quantiles and scores of a recording from the particles' simulations [P, T, C] and the noise's variance."""
     y = torch.as_tensor(recording.output, device=clean.device)
-    floor = 1e-12 + 1e-6 * y.abs().amax(0)  # a channel without noise or motion: a density needs some width
+    floor = 1e-12 + 1e-6 * y.abs().amax(0)  # a positive width for channels without noise or motion
     deviation = torch.sqrt(scott_bandwidth(clean) ** 2 + variance + floor**2)
     mixture = Mixture(clean, deviation.expand_as(clean))
     out = {

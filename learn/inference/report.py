@@ -1,4 +1,4 @@
-"""What an identification says: its numbers, its headline and its page."""
+"""Report of an identification: its numbers, headline and page."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .outcome import Outcome
 from .predict import main_channels
 from .settings import Settings
 
-#: A misfit above this many times the noise is more than noise.
+#: RMSE over noise floor above which the residual is more than noise.
 TOLERANCE = 1.3
 #: Probabilities of the coverage curve.
 NOMINAL = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
@@ -100,7 +100,7 @@ def _settings(s: Settings) -> dict[str, Any]:
 
 
 def _by_channel(outcome: Outcome) -> dict[str, float]:
-    """Return the rms misfit of every main channel, by axis or joint."""
+    """Return the held-out RMSE of every main channel, by axis or joint."""
     case, p = outcome.case, outcome.prediction
     names = ["xyz"[c] if isinstance(case, BranchCase) else case.channels[c].joint for c in p.main]
     squares = np.mean(np.concatenate([r[:, list(p.main)] ** 2 for r in p.residual]), axis=0)
@@ -108,7 +108,7 @@ def _by_channel(outcome: Outcome) -> dict[str, float]:
 
 
 def _shown(outcome: Outcome) -> tuple[float, str]:
-    """Scale and unit that people read: centimetres for a branch, degrees for angles."""
+    """Scale and unit for readers: centimetres for a branch, degrees for angles."""
     if isinstance(outcome.case, BranchCase):
         return 100.0, "cm"
     unit = unit_of(outcome.case)
@@ -119,20 +119,20 @@ def headline(outcome: Outcome) -> tuple[str, str]:
     """Return the verdict in a sentence, and good, warning or bad."""
     done = outcome.posterior.convergence
     if not done.converged:
-        return f"The sampler did not converge: {done.reason}. What follows is not the posterior.", "bad"
+        return f"The sampler did not converge: {done.reason}. The results below are not the posterior.", "bad"
     p, (scale, unit) = outcome.prediction, _shown(outcome)
     rms, floor = f"{scale * p.rms:.3g} {unit}", f"{scale * outcome.noise_floor:.3g} {unit}"
     if outcome.ratio <= TOLERANCE:
-        return f"The model explains the held-out motion to within the noise: misfit {rms}, noise {floor}.", "good"
+        return f"The model explains the held-out motion to within the noise: RMSE {rms}, noise floor {floor}.", "good"
     agree = outcome.posterior.agreement >= 0.25
     why = (
-        f"this is no failure of the fit ({outcome.posterior.agreement:.0%} of the independent starts ended at the same "
-        "optimum): the model lacks something that the measurement contains"
+        f"the fit is not the cause ({outcome.posterior.agreement:.0%} of the starts found the same optimum): "
+        "the model lacks an effect that the data contain"
         if agree
-        else "and few starts agree on an optimum, so the fit itself may be at fault"
+        else "few starts agree on an optimum, so the fit itself may have failed"
     )
     return (
-        f"The held-out misfit is {outcome.ratio:.1f} times the noise ({rms} against {floor}); {why}.",
+        f"The held-out RMSE is {outcome.ratio:.1f} times the noise floor ({rms} against {floor}); {why}.",
         "warning" if agree else "bad",
     )
 
@@ -144,15 +144,20 @@ def content(outcome: Outcome) -> ReportContent:
     middle, low, high = outcome.posterior.interval()
     rows = zip(outcome.posterior.names, middle, low, high, outcome.posterior.units, strict=True)
     numbers = [
-        KeyNumber("Held-out misfit", scale * p.rms, unit, "Root mean square of measured minus predicted."),
-        KeyNumber("Noise", scale * outcome.noise_floor, unit, "What a perfect model would leave, from the data alone."),
-        KeyNumber("Misfit / noise", outcome.ratio, "", f"Above {TOLERANCE} the model lacks something."),
-        KeyNumber("95 % interval covers", 100 * p.coverage, "%", "Share of held-out points inside; 95 is ideal."),
-        KeyNumber("Width of the interval", scale * p.width, unit, "Mean over held-out points, noise included."),
+        KeyNumber("Held-out RMSE", scale * p.rms, unit, "Root mean square of measured minus predicted."),
+        KeyNumber("Noise floor", scale * outcome.noise_floor, unit, "RMSE of a perfect model, from the data alone."),
+        KeyNumber("RMSE / noise floor", outcome.ratio, "", f"Above {TOLERANCE} the model lacks an effect."),
+        KeyNumber("Coverage of 95 % intervals", 100 * p.coverage, "%", "Share of held-out points inside; 95 is ideal."),
         KeyNumber(
-            "CRPS", scale * p.mean_crps, unit, "Continuous ranked probability score of held-out points; small is good."
+            "Mean interval width", scale * p.width, unit, "Of the 95 % interval over held-out points, noise included."
         ),
-        KeyNumber("Negative log density", p.mean_nll, "", "Mean of a held-out point, in nats; small is good."),
+        KeyNumber(
+            "CRPS",
+            scale * p.mean_crps,
+            unit,
+            "Continuous ranked probability score of held-out points; lower is better.",
+        ),
+        KeyNumber("Negative log density", p.mean_nll, "", "Mean over held-out points, in nats; lower is better."),
     ]
     return ReportContent(
         title=f"Identification of {outcome.case.name}",
@@ -162,8 +167,8 @@ def content(outcome: Outcome) -> ReportContent:
         parameters=[ParameterRow(n, float(m), float(a), float(b), u) for n, m, a, b, u in rows],
         figures=_figures(outcome, scale, unit),
         details={
-            "trajectories learnt from": ", ".join(outcome.case.trajectories[j].file for j in outcome.train),
-            "trajectories held out": ", ".join(outcome.case.trajectories[j].file for j in outcome.test),
+            "training trajectories": ", ".join(outcome.case.trajectories[j].file for j in outcome.train),
+            "held-out trajectories": ", ".join(outcome.case.trajectories[j].file for j in outcome.test),
             **_method(outcome),
             "bough": __version__,
             **describe(),
@@ -177,7 +182,7 @@ def content(outcome: Outcome) -> ReportContent:
 
 
 def _acting(s: Settings) -> list[KeyNumber]:
-    """Return a line on the effects that act, none where none does."""
+    """Return a line on the effects that act, none if there are none."""
     if not s.effects:
         return []
     told = [f"{a.label} ({', '.join(f'{k} {v:.4g}' for k, v in a.known.items()) or 'inferred'})" for a in s.effects]
@@ -189,7 +194,7 @@ def _notes(outcome: Outcome) -> list[str]:
     seen = outcome.train == outcome.test
     return [
         *outcome.case.warnings,
-        *(["one recording: nothing is held out, scores are of what was fitted"] if seen else []),
+        *(["one recording: nothing is held out, scores are of the training data"] if seen else []),
     ]
 
 
@@ -197,7 +202,7 @@ def _method(outcome: Outcome) -> dict[str, str | int | float]:
     """Return how it was computed, line by line."""
     s, q = outcome.settings, outcome.posterior
     likelihood = (
-        "Gaussian, noise inferred, noise of the force seen through the model"
+        "Gaussian, noise inferred, noise of the force propagated through the model"
         if s.loss == "gaussian"
         else f"published loss (thesis eq. 3.5, 3.9), kT {s.temperature:g}"
     )
@@ -209,68 +214,73 @@ def _method(outcome: Outcome) -> dict[str, str | int | float]:
         "particles or chains": s.particles,
         "iterations": s.iterations,
         "seed": s.seed,
-        "starts that agree": f"{q.agreement:.0%}",
+        "starts at the best mode": f"{q.agreement:.0%}",
         "convergence": q.convergence.reason,
-        "world-steps": f"{outcome.world_steps:,}",
-        "seconds": ", ".join(f"{k} {v:.1f}" for k, v in outcome.seconds.items()),
+        "simulated world-steps": f"{outcome.world_steps:,}",
+        "wall time [s]": ", ".join(f"{k} {v:.1f}" for k, v in outcome.seconds.items()),
     }
 
 
 def _figures(outcome: Outcome, scale: float, unit: str) -> list[ReportFigure]:
-    case, p = outcome.case, outcome.prediction
-    main = list(main_channels(case))
+    loops = [_loops(outcome, outcome.case)] if isinstance(outcome.case, BranchCase) else []
+    return [*_held_out(outcome, scale, unit), *loops, *_sampled(outcome)]
+
+
+def _held_out(outcome: Outcome, scale: float, unit: str) -> list[ReportFigure]:
+    """Return the figures of the held-out trajectories: prediction, residual, and error against amplitude."""
+    case, p, main = outcome.case, outcome.prediction, list(main_channels(outcome.case))
     shown = ["xyz"[c] if isinstance(case, BranchCase) else case.channels[c].joint for c in main]
-    labels = [f"{name} [{unit}]" for name in shown]
-    titles = [f"{case.trajectories[j].file}" for j in outcome.test]
+    labels, titles = [f"{name} [{unit}]" for name in shown], _titles(outcome)
     scaled = {k: [scale * a[:, main] for a in getattr(p, k)] for k in ("measured", "median", "low", "high", "residual")}
-    names = [f"{n} [{u}]" for n, u in zip(outcome.posterior.names, outcome.posterior.units, strict=True)]
-    out = [
+    bands = [scaled[k] for k in ("measured", "median", "low", "high")]
+    amplitude, misfit = p.by_amplitude()
+    return [
         ReportFigure(
-            "prediction.png",
-            prediction_figure(p.t, scaled["measured"], scaled["median"], scaled["low"], scaled["high"],
-                              titles=titles, labels=labels),
-            "Held-out trajectories: measured points, the model's prediction and its 95 % band.",
+            "prediction.png", prediction_figure(p.t, *bands, titles=titles, labels=labels),
+            "Held-out trajectories: measured points, predicted median and 95 % interval.",
         ),
         ReportFigure(
             "residual.png",
             residual_figure(p.t, scaled["residual"], scale * outcome.sigma[main], label=f"residual [{unit}]"),
-            "What the model leaves over, against the noise: mere noise fills the green band and has no memory.",
+            "Residual of held-out trajectories: noise alone stays in the green band and has no autocorrelation.",
         ),
-    ]  # fmt: skip
-    amplitude, misfit = p.by_amplitude()
-    out.append(
         ReportFigure(
             "amplitude.png",
             amplitude_figure(scale * amplitude, scale * misfit, scale * outcome.noise_floor, label=unit),
-            "Misfit against amplitude: what grows with the amplitude is no noise, and no linear model's to explain.",
-        )
-    )
-    if isinstance(case, BranchCase):
-        force = [case.trajectories[j].force for j in outcome.test]
-        out.append(
-            ReportFigure(
-                "loops.png",
-                loop_figure(force, [m[:, :3] for m in p.measured], [m[:, :3] for m in p.median], titles=titles),
-                "Force against displacement: the slope is stiffness, the area inside a loop is energy lost.",
-            )
-        )
-    out.append(
-        ReportFigure(
-            "posterior.png", posterior_figure(outcome.posterior.particles, names),
-            "Particles of the posterior: what the data say about every parameter, and which they confuse.",
-        )
+            "RMSE against amplitude in time windows: an RMSE that grows with the amplitude is model error, not noise.",
+        ),
+    ]  # fmt: skip
+
+
+def _titles(outcome: Outcome) -> list[str]:
+    return [outcome.case.trajectories[j].file for j in outcome.test]
+
+
+def _loops(outcome: Outcome, case: BranchCase) -> ReportFigure:
+    p, force = outcome.prediction, [case.trajectories[j].force for j in outcome.test]
+    measured, median = ([x[:, :3] for x in part] for part in (p.measured, p.median))
+    return ReportFigure(
+        "loops.png", loop_figure(force, measured, median, titles=_titles(outcome)),
+        "Force against displacement: the slope is the stiffness, the enclosed area the energy lost.",
     )  # fmt: skip
-    out.append(
+
+
+def _sampled(outcome: Outcome) -> list[ReportFigure]:
+    """Return the figures of the posterior: marginals and pairs, calibration, convergence."""
+    q = outcome.posterior
+    names = [f"{n} [{u}]" for n, u in zip(q.names, q.units, strict=True)]
+    covered = np.array([outcome.prediction.coverage_at(x) for x in NOMINAL])
+    return [
         ReportFigure(
-            "coverage.png", coverage_figure(np.array(NOMINAL), np.array([p.coverage_at(q) for q in NOMINAL])),
-            "Calibration: the share of held-out points inside central intervals, against what the intervals claim.",
-        )
-    )  # fmt: skip
-    out.append(
+            "posterior.png", posterior_figure(q.particles, names),
+            "Posterior particles: marginals with median and 95 % interval, and correlations of pairs.",
+        ),
         ReportFigure(
-            "convergence.png",
-            convergence_figure(outcome.posterior.trace_log_posterior, outcome.posterior.trace_mean),
-            "How the particles settled.",
-        )
-    )  # fmt: skip
-    return out
+            "coverage.png", coverage_figure(np.array(NOMINAL), covered),
+            "Calibration: coverage of held-out points against nominal probability; the diagonal is ideal.",
+        ),
+        ReportFigure(
+            "convergence.png", convergence_figure(q.trace_log_posterior, q.trace_mean),
+            "Convergence: log posterior of the particles and their mean; both should be flat at the end.",
+        ),
+    ]  # fmt: skip

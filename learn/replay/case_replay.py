@@ -1,4 +1,4 @@
-"""A case's branch with nominal springs under its recorded forces: what is measured beside what is simulated."""
+"""A case's branch simulated under its recorded forces, with nominal springs or a model: measured and simulated."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from .rollout import Rollout
 def replay(
     case: BranchCase, stepping: Stepping, *, seconds: float | None = None, model: BranchModel | None = None
 ) -> tuple[Trajectory, Array]:
-    """Simulate one world a recording from rest; return it and the grasp points' displacement [m], shape [T, W, 3].
+    """Simulate one world per recording from rest; return it and the grasp points' displacement [m], shape [T, W, 3].
 
     Springs are those of ``model``, or those that `BranchSystem` takes for typical. A model with effects is replayed by
-    their kernel in the step of identification, and looked at when the recordings were sampled.
+    their kernel at the time step of identification, and recorded at the sampling times.
 
     Raises:
         InputError: --seconds is longer than the recordings, or an option does not fit.
@@ -85,7 +85,7 @@ class Push:
     """Writes the recorded force on every world's grasp point, linear between the samples.
 
     Args:
-        simulator: One world a recording.
+        simulator: One world per recording.
         case: The branch.
         recorded: Its recordings.
     """
@@ -122,7 +122,7 @@ def grasp_displacement(case: BranchCase, trajectory: Trajectory) -> Array:
 
 
 def case_figure(case: BranchCase, time: Array, grasp: Array, named: str = "") -> Figure:
-    """Draw the measured (dots) and the simulated (lines) displacement of the grasp point, a panel a recording.
+    """Draw the measured (dots) and the simulated (lines) displacement of the grasp point, one panel per recording.
 
     Args:
         case: The case, W recordings.

@@ -1,4 +1,4 @@
-"""The arrays that a rollout with effects needs, and its kernel: `rollout` for systems that lack something."""
+"""Arrays and kernel of a rollout with effects."""
 
 from __future__ import annotations
 

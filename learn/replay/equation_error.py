@@ -1,8 +1,8 @@
-"""Holding a mechanism against measured efforts: the efforts that the measured motion needs beside those applied.
+"""Equation error of a mechanism: efforts predicted by inverse dynamics from the measured motion.
 
-A chaotic mechanism cannot be replayed for long, whatever its parameters. Its equations of motion hold at every moment
-all the same, so coordinates, rates and accelerations are taken from the measured motion, and inverse dynamics predicts
-the efforts (equation error; Gautier & Khalil 1988; Swevers, Verdonck & De Schutter 2007). Motion and efforts pass
+A chaotic mechanism cannot be replayed for long, whatever its parameters, but its equations of motion hold at every
+time. Coordinates, rates and accelerations are taken from the measured motion, and inverse dynamics predicts the efforts
+(equation error; Gautier & Khalil 1988; Swevers, Verdonck & De Schutter 2007). Motion and efforts pass
 through one zero-phase low-pass filter first: a Butterworth filter of second order, run forward and backward.
 """
 
@@ -34,17 +34,17 @@ _QUANTITIES = ("position", "velocity", "acceleration")
 
 
 def fits_torque(case: BranchCase | JointCase) -> bool:
-    """Return whether a case's model is held against efforts instead of replayed motion."""
+    """Return whether a case is fitted to efforts (equation error) instead of replayed motion."""
     return isinstance(case, JointCase) and case.fit == "torque"
 
 
 def simulation_of(case: BranchCase | JointCase) -> type[Rollout]:
-    """Return what predicts a case's recordings: `EquationError` for torque fits, else `Rollout`."""
+    """Return the class that predicts a case's recordings: `EquationError` for torque fits, else `Rollout`."""
     return EquationError if fits_torque(case) else Rollout
 
 
 def recordings_of(case: BranchCase | JointCase) -> list[Recording]:
-    """Return a case's trajectories as `simulation_of` takes them."""
+    """Return a case's trajectories in the form that `simulation_of` takes."""
     return torque_recordings(case) if isinstance(case, JointCase) and fits_torque(case) else recordings(case)
 
 
@@ -78,15 +78,15 @@ def _recording(case: JointCase, trajectory: JointTrajectory, sources: list[list[
 
 
 def noise_of(case: BranchCase | JointCase) -> NoiseEstimate:
-    """Return the noise of what `simulation_of` predicts, one channel each in the order of its recordings' output."""
+    """Return the noise of the channels that `simulation_of` predicts, in the order of the recordings' output."""
     return torque_noise(case) if isinstance(case, JointCase) and fits_torque(case) else estimate_noise(case)
 
 
 def thinned(case: BranchCase | JointCase, recording: Recording) -> Recording:
-    """Return every n-th sample of a filtered recording, so that the noise of neighbours is nearly independent.
+    """Return every n-th sample of a filtered recording, so that noise of neighbouring samples is nearly independent.
 
-    What a filter has let through up to f Hz is told by 2 f samples a second; more of them say the same again, and a
-    posterior that took them for independent would be too narrow. Recordings that are replayed stay as they are.
+    A signal with cut-off f Hz is determined by 2 f samples per second. More samples are redundant, and a posterior that
+    took them as independent would be too narrow. Recordings that are replayed are returned unchanged.
     """
     if not isinstance(case, JointCase) or case.fit == "replay":
         return recording
@@ -100,12 +100,12 @@ def torque_noise(case: JointCase) -> NoiseEstimate:
 
     Errors of the measured motion come on top in a fit; they are smaller the lower the cut-off.
     """
-    from scipy.signal import sosfreqz  # scipy takes longer to import than a branch, which needs none, to be refused
+    from scipy.signal import sosfreqz  # slow to import, and bad input is refused before it is needed
 
     efforts = tuple(replace(t, output=t.effort) for t in case.trajectories)
     raw = estimate_noise(replace(case, outputs=case.channels, trajectories=efforts))
     _, response = sosfreqz(_filter(case.dt, case.filter_hz), 4096)
-    gain = np.sqrt(np.mean(np.abs(response) ** 4))  # there and back passes |H|^2, and of white noise's power |H|^4
+    gain = np.sqrt(np.mean(np.abs(response) ** 4))  # two passes have the gain |H|^2, power |H|^4
     return NoiseEstimate(raw.channel, gain * raw.sigma, {name: gain * sigma for name, sigma in raw.by_method.items()})
 
 
@@ -117,7 +117,7 @@ def _at_samples(case: JointCase, effort: Array) -> Array:
 
 
 def low_pass(values: Array, dt: float, cutoff: float) -> Array:
-    """Filter columns [T, C], a row every ``dt`` [s], with zero phase; at ``cutoff`` [Hz] half the amplitude is left."""
+    """Filter columns [T, C] sampled every ``dt`` [s] with zero phase; the gain at ``cutoff`` [Hz] is one half."""
     from scipy.signal import sosfiltfilt
 
     pad = min(len(values) - 1, int(1.0 / (cutoff * dt)))
@@ -134,16 +134,16 @@ def _filter(dt: float, cutoff: float) -> Array:
 def _sources(case: JointCase, joint: str, sigma: Array) -> list[tuple[int, int]]:
     """Return column and order of derivative from which coordinate, rate and acceleration of a joint are taken.
 
-    White noise ``sigma`` of a column, differentiated d times and cut off at w, has the power sigma^2 w^2d / (2 d + 1):
-    the quietest column that a quantity can be had from is taken. Coordinates come from positions.
+    White noise ``sigma`` of a column, differentiated d times and cut off at w, has the power sigma^2 w^2d / (2 d + 1).
+    Each quantity is taken from the column with the least noise. Coordinates come from positions.
     """
     cutoff = 2.0 * np.pi * case.filter_hz
     columns = [(c, _QUANTITIES.index(o.quantity)) for c, o in enumerate(case.outputs) if o.joint == joint]
     out = []
     for wanted in range(3):
-        loud = {(c, wanted - order): sigma[c] * cutoff ** (wanted - order) / np.sqrt(2 * (wanted - order) + 1)
+        noise = {(c, wanted - order): sigma[c] * cutoff ** (wanted - order) / np.sqrt(2 * (wanted - order) + 1)
                 for c, order in columns if order <= wanted}  # fmt: skip
-        out.append(min(loud, key=lambda key: loud[key]))
+        out.append(min(noise, key=lambda key: noise[key]))
     return out
 
 
@@ -189,7 +189,7 @@ class EquationError(Rollout):
         return out
 
     def _with_effects(self, replay: Callable[[], None], integers: list[Any], motion: wp.array) -> Callable[[], None]:
-        """Return a replay that takes off what the laws at joints give; refuse effects of any other kind."""
+        """Return a replay that subtracts the efforts of laws at joints; refuse effects of any other kind."""
         m, acting = self.model, self.system.acting
         for name, law in acting.laws.items():
             if law.kind != "joint":

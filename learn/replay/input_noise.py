@@ -1,7 +1,7 @@
-"""Noise of the measured force, seen through the model: it colours what a perfect model would leave over.
+"""Noise of the measured force, propagated through the model: it correlates the residuals of a perfect model.
 
-A branch is driven by a force that a sensor reads with white noise. The simulation feels that noise, so that measured
-minus simulated motion is sensor noise plus the noise's response: to first order
+A branch is driven by a force that is measured with white noise. The simulation is driven by the noisy force, so the
+residual is sensor noise plus the response to noise of the force: to first order
 
     r = D e + B n,  e, n white,  cov r = D^2 + B B^T,
 
@@ -9,11 +9,12 @@ with D the channels' noise and B the response of the outputs to one standard dev
 Taking r for white would make intervals too narrow where the response lasts. With D^-1 B = U S V^T the residual is
 whitened by e = (1 - U (1 - (1 + S^2)^-1/2) U^T) D^-1 r.
 
-The recorded force holds its own noise, so |e|^2 / 2 also contains the noise that each parameter vector lets through,
-tr((D^2 + B B^T)^-1 B' B'^T) / 2 in the mean with B' its own response. Vectors that let less through would win by that;
-its slope is taken out (errors in variables: the profile likelihood over the true force has it too, to first order).
+The recorded force contains its noise, so |e|^2 / 2 also contains the noise that each parameter vector transmits, on
+average tr((D^2 + B B^T)^-1 B' B'^T) / 2 with B' its own response. Vectors that transmit less would be favoured; the
+slope of this term is subtracted (errors in variables: to first order the profile likelihood over the true force has it
+too).
 
-Noise is taken to do no damage: effects whose damage lasts from one recording to the next are left out of the response.
+Noise is assumed to cause no damage: effects whose damage lasts between recordings are left out of the response.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ from ..systems.branch import BranchSystem, Unknowns
 from .recording import Recording
 from .rollout import Rollout
 
-#: Moments of a recording at which a pulse is simulated; between them the earlier one's response is shifted.
+#: Pulses simulated per recording and axis; between them the earlier one's response is shifted in time.
 PULSES = 16
-#: Independent pieces of noise a recording and axis; longer recordings take means over neighbouring samples. Means lose
-#: what is faster than they are, and a branch that swings once in five samples answers to just that.
+#: Independent noise values per recording and axis; in longer recordings each covers several samples. Averaging loses
+#: fast noise, to which a branch that swings once in five samples responds most.
 PIECES = 160
 
 
@@ -56,8 +57,8 @@ class Colour:
 
         Args:
             z: Residuals, shape [P, ..., R, T, C].
-            share: Squared ratio of the estimated to the present noise of the channels, shape [P]: where a channel is
-                noisier than estimated, the force is not.
+            share: Squared ratio of the estimated to the inferred noise of the channels, shape [P]: noise of the force
+                does not grow with that of the channels.
         """
         flat = z.flatten(-2).movedim(-2, 0)
         rows = flat.flatten(1, -2)
@@ -71,7 +72,7 @@ class Colour:
         return 0.5 * torch.log1p(share[:, None, None] * self.gain).sum((-1, -2))
 
     def variance(self, shape: tuple[int, int]) -> torch.Tensor:
-        """Return what the input's noise adds to the variance of every output, in units of the noise's, [R, T, C]."""
+        """Return the variance of the outputs by noise of the input, relative to the channels' noise, [R, T, C]."""
         return ((self.basis**2) @ self.gain[..., None])[..., 0].unflatten(-1, shape)
 
 
@@ -79,7 +80,7 @@ def input_colour(
     case: BranchCase, chosen: Sequence[Recording], values: torch.Tensor, force_sigma: Array, sigma: torch.Tensor, *,
     nearby: torch.Tensor | None = None, unknowns: Unknowns | None = None, device: object = None,
 ) -> Colour:  # fmt: skip
-    """Return the colour that noise of the force gives to recordings simulated with parameters ``values`` [n].
+    """Return how noise of the force correlates the residuals of recordings simulated with parameters ``values`` [n].
 
     Args:
         case: The branch.
@@ -87,8 +88,8 @@ def input_colour(
         values: Parameters about which the response is linear.
         force_sigma: Noise of the force [N], shape [3].
         sigma: Noise of the outputs, shape [C].
-        nearby: Parameters at which the power of the response is asked for, shape [S, n].
-        unknowns: What the values are.
+        nearby: Parameters at which the power of the response is computed, shape [S, n].
+        unknowns: Unknowns that the values belong to.
         device: Warp device.
     """
     sets = values[None] if nearby is None else torch.cat([values[None], nearby])
@@ -128,7 +129,7 @@ def _undamaged(case: BranchCase, unknowns: Unknowns | None, sets: torch.Tensor) 
 
 
 def _moments(length: int) -> Array:
-    """Return the samples that are pulsed, the first among them: its pulse only falls, all others rise and fall."""
+    """Return the samples at which pulses act; the first sample's pulse only falls, all others rise and fall."""
     return np.unique(np.concatenate([[0], np.linspace(1, length - 2, PULSES).astype(int)]))
 
 
@@ -139,7 +140,7 @@ def _pulse(r: Recording, sample: int, axis: int, size: float) -> Recording:
 
 
 def _columns(r: Recording, at: Array, response: torch.Tensor, force_sigma: Array) -> torch.Tensor:
-    """Response to one deviation of every independent piece of noise, [T, C, pieces]."""
+    """Response to one standard deviation of every independent noise value, [T, C, pieces]."""
     length, longest = len(r.t), response.shape[2]
     block = -(-length // PIECES)
     out = []
@@ -161,12 +162,12 @@ def _columns(r: Recording, at: Array, response: torch.Tensor, force_sigma: Array
 def _decompose(scaled: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Columns U and squared singular values of D^-1 B, shape [T C, pieces]."""
     value, vector = torch.linalg.eigh(scaled.T @ scaled)
-    keep = value > 1e-2  # what adds less than a percent to the variance of any combination
+    keep = value > 1e-2  # the others add less than a percent to any variance
     return scaled @ (vector[:, keep] * value[keep].rsqrt()), value[keep]
 
 
 def _power(basis: torch.Tensor, gain: torch.Tensor, scaled: torch.Tensor) -> torch.Tensor:
-    """Half the squares of whitened columns: (1 + U S^2 U^T)^-1 = 1 - U S^2 / (1 + S^2) U^T."""
+    """Half the sum of squares of whitened columns: (1 + U S^2 U^T)^-1 = 1 - U S^2 / (1 + S^2) U^T."""
     inside = ((basis.T @ scaled) ** 2).sum(1)
     return 0.5 * ((scaled**2).sum() - (gain / (1.0 + gain) * inside).sum())
 

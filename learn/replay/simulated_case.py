@@ -29,7 +29,7 @@ class Experiment:
     """How a simulated branch is probed.
 
     Attributes:
-        samples: Samples a trajectory.
+        samples: Samples per trajectory.
         rate: Sampling rate [Hz].
         noise: Standard deviation of the noise on displacement and velocity, as a share of the channel's rms; the
             force has half of it.

@@ -27,9 +27,9 @@ class ReplayWorlds:
     Attributes:
         num_sets: Sets S that a call takes.
         blocks: Groups of worlds that the sets of a recording take.
-        num_locals: Numbers of a start state per recording (two a joint; none for a branch at rest).
+        num_locals: Numbers of a start state per recording (two per joint; none for a branch at rest).
         torch_device: Where parameters are taken and channels returned.
-        chains: Worlds that the recordings of one set take: one where damage persists, else one a recording.
+        chains: Worlds that the recordings of one set take: one where damage persists, else one per recording.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class ReplayWorlds:
         return self._output
 
     def place_marks(self, array: LaneArray, marks: torch.Tensor) -> None:
-        """Write one number a padded set [sets] into the worlds of all recordings."""
+        """Write one number per padded set [sets] into the worlds of all recordings."""
         target = array.torch.unflatten(0, (self.chains, self.blocks))
         target[:, :, :, 0, 0] = marks.view(self.blocks, self.model.width)
 

@@ -1,7 +1,7 @@
 """Figures of an identification, drawn without pyplot's global state.
 
 Every function takes plain arrays and returns a `matplotlib.figure.Figure`; `png` turns one into bytes. Colours are the
-colour-blind safe ones of Okabe and Ito: what was measured is dark, the model blue, the noise green, an alarm vermilion.
+colour-blind safe ones of Okabe and Ito: measurement dark, model blue, noise green, warning vermilion.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ WIDTH = 9.0
 """Width of every figure [in]."""
 MOST_PAIRS = 8
 """Number of parameters up to which pairs are drawn."""
+_MARGINALS = "Posterior particles: median (95 % interval)"
 
 _STYLE: dict[Any, Any] = {
     "font.size": 10, "axes.titlesize": 10, "axes.labelsize": 10, "legend.fontsize": 9, "xtick.labelsize": 9,
@@ -62,13 +63,13 @@ def prediction_figure(
     titles: Sequence[str],
     labels: Sequence[str],
 ) -> Figure:
-    """Draw measured against predicted channels with the 95 % band, a row per trajectory and a column per channel.
+    """Draw measured and predicted channels with the 95 % interval, a row per trajectory and a column per channel.
 
     Args:
         t: Times of each of N trajectories [s], shapes [T].
         measured: What was measured, shapes [T, C].
         median: Median of the prediction, shapes [T, C].
-        low: Lower end of the 95 % band, shapes [T, C].
+        low: Lower end of the 95 % interval, shapes [T, C].
         high: Upper end, shapes [T, C].
         titles: Name of each trajectory, length N.
         labels: Name and unit of each channel, length C, such as ``x [cm]``.
@@ -78,16 +79,17 @@ def prediction_figure(
     axes = figure.subplots(n, channels, squeeze=False, sharex="row", sharey="row")
     for i, row in enumerate(axes):
         for c, ax in enumerate(row):
-            ax.fill_between(t[i], low[i][:, c], high[i][:, c], color=MODEL, alpha=0.25, linewidth=0, label="95 % band")
+            ax.fill_between(
+                t[i], low[i][:, c], high[i][:, c], color=MODEL, alpha=0.25, linewidth=0, label="95 % interval"
+            )
             ax.plot(t[i], median[i][:, c], color=MODEL, label="predicted")
             few = len(t[i]) <= 400
             ax.plot(t[i], measured[i][:, c], "." if few else "-", color=MEASURED, markersize=2.5,
                     linewidth=0.8, label="measured")  # fmt: skip
-            if i == 0:
-                ax.set_title(labels[c])
+            ax.set_title(titles[i])
+            ax.set_ylabel(labels[c])
             if i == n - 1:
                 ax.set_xlabel("time [s]")
-        row[0].set_ylabel(titles[i].replace(": ", "\n").replace("_", " "))
     handles, names = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=3)
     return figure
@@ -104,12 +106,14 @@ def posterior_figure(samples: Array, names: Sequence[str]) -> Figure:
     n = samples.shape[1]
     if n > MOST_PAIRS:
         rows = -(-n // 4)
-        figure = Figure(figsize=(WIDTH, 1.9 * rows), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 0.3 + 1.9 * rows), layout="constrained")
+        figure.suptitle(_MARGINALS, fontsize=11)
         axes = figure.subplots(rows, 4, squeeze=False).ravel()
         for i, ax in enumerate(axes):
             _marginal(ax, samples[:, i], names[i]) if i < n else ax.set_visible(False)
         return figure
     figure = Figure(figsize=(WIDTH, 3.0 if n == 1 else WIDTH * (0.55 if n == 2 else 1.0)), layout="constrained")
+    figure.suptitle(_MARGINALS, fontsize=11)
     axes = figure.subplots(n, n, squeeze=False, sharex="col")
     for i in range(n):
         for j in range(n):
@@ -150,31 +154,33 @@ def _pair(ax: Axes, x: Array, y: Array) -> None:
 
 
 def _wrapped(label: str) -> str:
-    """Put every word of a name on a line of its own, and the unit below."""
+    """Put each word of a name, and the unit, on its own line."""
     name, _, unit = label.partition(" [")
     return "\n".join([*name.split(), f"[{unit}" if unit else ""]).rstrip()
 
 
 @styled
 def convergence_figure(log_posterior: Array, mean: Array) -> Figure:
-    """Draw how the particles settle.
+    """Draw the convergence of the particles.
 
     Args:
         log_posterior: Log posterior of every particle at every iteration, up to a constant, shape [I, P].
-        mean: Mean over the particles of every coordinate, in posterior deviations, shape [I, D].
+        mean: Mean over the particles of every coordinate, in posterior standard deviations, shape [I, D].
     """
     figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     steps = np.arange(len(log_posterior))
-    # A symmetric-log axis about the best value shows the first leaps and the last small steps alike.
+    # a symmetric-log axis about the best value shows large early and small late changes
     below = np.maximum(np.nanmax(log_posterior) - log_posterior, 0.0)
     left.plot(steps, below, color=FAINT, linewidth=0.6)
     left.plot(steps, np.nanmedian(below, axis=1), color=MODEL, linewidth=2)
     left.set_yscale("symlog", linthresh=1.0)
     left.invert_yaxis()
-    left.set_ylabel("log posterior below its best")
+    left.set_ylabel("best log posterior minus log posterior")
+    left.set_title("Log posterior of the particles, median in blue")
     right.plot(steps, mean, linewidth=1.0)
-    right.set_ylabel("mean of every coordinate\n[posterior deviations]")
+    right.set_ylabel("particle mean\n[posterior standard deviations]")
+    right.set_title("Mean of each coordinate")
     for ax in (left, right):
         ax.set_xlabel("iteration")
     return figure
@@ -182,17 +188,18 @@ def convergence_figure(log_posterior: Array, mean: Array) -> Figure:
 
 @styled
 def coverage_figure(nominal: Array, covered: Array) -> Figure:
-    """Draw how much a central interval really covers against what it claims to.
+    """Draw the coverage of central intervals against their nominal probability.
 
     Args:
-        nominal: Claimed probabilities, shape [N].
+        nominal: Nominal probabilities, shape [N].
         covered: Shares of held-out points inside, shape [N].
     """
     figure = Figure(figsize=(4.2, 3.8), layout="constrained")
     ax = figure.subplots()
     ax.plot([0, 100], [0, 100], color=NOISE, linestyle="--", label="ideal")
     ax.plot(100 * nominal, 100 * covered, color=MODEL, marker=".", label="held-out points")
-    ax.set_xlabel("central interval claims [%]")
+    ax.set_title("Coverage of central intervals")
+    ax.set_xlabel("nominal probability [%]")
     ax.set_ylabel("points inside [%]")
     ax.legend()
     return figure
@@ -200,20 +207,21 @@ def coverage_figure(nominal: Array, covered: Array) -> Figure:
 
 @styled
 def amplitude_figure(amplitude: Array, misfit: Array, noise_floor: float, *, label: str) -> Figure:
-    """Draw the misfit of windows against how far things moved in them.
+    """Draw RMSE against amplitude of the motion in time windows.
 
     Args:
         amplitude: Root mean square of what was measured in each window, shape [W].
-        misfit: Root mean square misfit there, shape [W].
-        noise_floor: Misfit that a perfect model would leave.
+        misfit: RMSE there, shape [W].
+        noise_floor: RMSE of a perfect model.
         label: Unit of all.
     """
     figure = Figure(figsize=(4.6, 3.6), layout="constrained")
     ax = figure.subplots()
-    ax.plot(amplitude, misfit, ".", color=MODEL, markersize=7, label="windows of held-out motion")
+    ax.plot(amplitude, misfit, ".", color=MODEL, markersize=7, label="time windows, held out")
     ax.axhline(noise_floor, color=NOISE, linestyle="--", label="noise floor")
+    ax.set_title("Error against amplitude")
     ax.set_xlabel(f"rms of the motion [{label}]")
-    ax.set_ylabel(f"rms misfit [{label}]")
+    ax.set_ylabel(f"RMSE [{label}]")
     ax.set_ylim(bottom=0.0)
     ax.legend()
     return figure
@@ -221,10 +229,10 @@ def amplitude_figure(amplitude: Array, misfit: Array, noise_floor: float, *, lab
 
 @styled
 def residual_figure(t: Sequence[Array], residual: Sequence[Array], sigma: Array, *, label: str) -> Figure:
-    """Draw what the model leaves over against the noise: in time, as a histogram, and its autocorrelation.
+    """Draw the residual against the noise: over time, as a histogram, and its autocorrelation.
 
-    A residual that is noise fills the green band, follows the green curve and has no memory. The title states the ratio
-    of the two root mean squares, in vermilion where it exceeds 1.3.
+    A residual that is noise stays in the green band, follows the green curve and has no autocorrelation. The title
+    states the ratio of the two root mean squares, in vermilion if it exceeds 1.3.
 
     Args:
         t: Times of each of N trajectories [s], shapes [T].
@@ -247,15 +255,15 @@ def residual_figure(t: Sequence[Array], residual: Sequence[Array], sigma: Array,
 def _residual_in_time(
     ax: Axes, t: Sequence[Array], residual: Sequence[Array], sigma: Array, colour: str, label: str
 ) -> None:
-    """Trajectories one after the other, all channels, over the 95 % band of the noise."""
+    """Draw all channels of consecutive trajectories over the 95 % interval of the noise."""
     start, band = 0.0, 1.96 * float(np.sqrt(np.mean(np.square(sigma))))
-    ax.axhspan(-band, band, color=NOISE, alpha=0.25, linewidth=0, label="95 % of the noise")
+    ax.axhspan(-band, band, color=NOISE, alpha=0.25, linewidth=0, label="95 % interval of the noise")
     for i, (time, r) in enumerate(zip(t, residual, strict=True)):
         ax.plot(start + time - time[0], r, ".", color=colour, markersize=2, markeredgewidth=0)
         start += 1.06 * (time[-1] - time[0])
         if i < len(t) - 1:
             ax.axvline(start - 0.03 * (time[-1] - time[0]), color="#888888", linewidth=0.6)
-    ax.set_xlabel("time, trajectories one after the other [s]")
+    ax.set_xlabel("time, trajectories concatenated [s]")
     ax.set_ylabel(label)
     ax.legend(loc="upper right")
 
@@ -266,9 +274,10 @@ def _residual_histogram(ax: Axes, scaled: Array, colour: str) -> None:
         scaled, bins=np.linspace(-reach, reach, 61).tolist(), density=True, color=colour, alpha=0.5, label="residual"
     )
     x = np.linspace(-reach, reach, 401)
-    ax.plot(x, np.exp(-x * x / 2) / np.sqrt(2 * np.pi), color=NOISE, linewidth=2, label="noise alone")
+    ax.plot(x, np.exp(-x * x / 2) / np.sqrt(2 * np.pi), color=NOISE, linewidth=2, label="standard normal (noise)")
+    ax.set_ylim(top=1.4 * ax.get_ylim()[1])  # room for the key
     ax.set_xlabel("residual / noise")
-    ax.set_ylabel("density")
+    ax.set_ylabel("probability density")
     ax.legend(loc="upper right")
 
 
@@ -278,7 +287,7 @@ def _autocorrelation(ax: Axes, t: Sequence[Array], scaled: Sequence[Array], colo
     values = [sum(float(np.sum(s[: len(s) - k] * s[k:])) for s in scaled) / power for k in range(1, lags + 1)]
     step = float(t[0][1] - t[0][0])
     bound = 1.96 / np.sqrt(sum(s.size for s in scaled))
-    ax.axhspan(-bound, bound, color=NOISE, alpha=0.25, linewidth=0, label="95 % of white noise")
+    ax.axhspan(-bound, bound, color=NOISE, alpha=0.25, linewidth=0, label="95 % interval of white noise")
     ax.vlines(step * np.arange(1, lags + 1), 0, values, color=colour, linewidth=1.5)
     ax.axhline(0, color="#888888", linewidth=0.8)
     ax.set_ylim(min(-0.3, 1.1 * min(values)), 1.0)
@@ -308,16 +317,21 @@ def loop_figure(
         if i >= n:
             ax.set_visible(False)
             continue
-        along = np.linalg.svd(force[i], full_matrices=False)[2][0]
-        along = along * np.sign(np.sum((force[i] @ along) ** 3) or 1.0)
+        along = push_direction(force[i])
         ax.plot(100 * measured[i] @ along, force[i] @ along, ".", color=MEASURED, markersize=3, label="measured")
         ax.plot(100 * predicted[i] @ along, force[i] @ along, color=MODEL, linewidth=1, label="predicted")
-        ax.set_title(titles[i].replace(": ", "\n").replace("_", " "))
+        ax.set_title(titles[i])
         ax.locator_params(nbins=5)
     for ax in axes[:, 0]:
         ax.set_ylabel("force [N]")
     for i in range(max(0, n - columns), n):
-        axes.ravel()[i].set_xlabel("displacement [cm]")
+        axes.ravel()[i].set_xlabel("displacement along the force [cm]")
     handles, names = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=2)
     return figure
+
+
+def push_direction(force: Array) -> Array:
+    """Return the unit direction in which a force [T, 3] mainly acts, towards its larger values, shape [3]."""
+    along: Array = np.linalg.svd(force, full_matrices=False)[2][0]
+    return along * (np.sign(np.sum((force @ along) ** 3)) or 1.0)

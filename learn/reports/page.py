@@ -1,4 +1,4 @@
-"""One self-contained HTML page that says what came out of a run, with its figures beside it."""
+"""One self-contained HTML page with the results of a run, its figures beside it."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ REPORT = "report.html"
 
 @dataclass(frozen=True)
 class KeyNumber:
-    """One number worth a line.
+    """One key number of a report.
 
     Attributes:
-        label: What it is.
+        label: Its name.
         value: The number, or text.
         unit: Its unit, may be empty.
-        explanation: One sentence that says how to read it.
+        explanation: One sentence on how to read it.
     """
 
     label: str
@@ -79,7 +79,7 @@ class ReportTable:
 
 @dataclass(frozen=True)
 class ReportContent:
-    """What a report says.
+    """Content of a report.
 
     Attributes:
         title: What was done to what.
@@ -89,7 +89,7 @@ class ReportContent:
         parameters: Inferred parameters; the table is left out if there are none.
         figures: Figures in reading order.
         details: How it was computed: settings, versions, seeds, machine.
-        further: Where to read on: pairs of a file, command or page and what it holds.
+        further: Further reading: pairs of a file, command or page and what it holds.
         tables: Plain tables before the figures, each a section of its own.
     """
 
@@ -127,7 +127,7 @@ def write_report(folder: str | Path, content: ReportContent) -> Path:
 
 
 def number(value: object, digits: int = 3) -> str:
-    """Write a number for a reader: ``digits`` significant ones, no exponent where it can be avoided."""
+    """Format a number with ``digits`` significant digits, without an exponent if it can be avoided."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
         return str(value)
     value = int(value) if isinstance(value, (int, np.integer)) else float(value)

@@ -1,7 +1,7 @@
-"""What every sampler shares: the density it asks, a population of positions, and a state that can be put away.
+"""Base of all samplers: the density interface, a population of positions, and a state that can be saved.
 
-A population steps to proposed positions and evaluates there; a proposal whose log density or gradient is not finite is
-refused and the member stays where it was, so that one world that diverged never takes the others with it.
+A population moves to proposed positions and evaluates there. A proposal whose log density or gradient is not finite is
+rejected and the member stays, so that a world that diverged does not affect the others.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ class Population:
         """Evaluate the proposal [P, D], move the members for which all is finite there and return who moved, [P]."""
         value, gradient = density.evaluate(proposal)
         fine = finite(value, gradient) & proposal.isfinite().all(1)
-        # a member that never had a finite density may wander until it finds one
+        # a member that never had a finite density may move until it finds one
         lost = ~fine & ~self.log_density.isfinite() & proposal.isfinite().all(1)
         self.particles = torch.where((fine | lost)[:, None], proposal, self.particles)
         self.log_density = torch.where(fine, value, self.log_density)

@@ -1,7 +1,7 @@
 """Chains, many in one batch: Metropolis-Hastings, stochastic gradient Langevin and Hamiltonian dynamics.
 
-The chains help each other only while they warm up: the covariance of the population scales the proposals, and is frozen
-for the second half of the run, after which every chain is Markov on its own.
+During the warm-up the covariance of the population scales the proposals; for the second half of the run it is frozen,
+so that each chain is Markov.
 """
 
 from __future__ import annotations
@@ -74,10 +74,10 @@ class Dynamics(Population):
     """Base of the samplers that follow the gradient, without an acceptance test.
 
     They move in coordinates whitened by a preconditioner that adapts in the warm-up and is constant afterwards: the
-    covariance of the population, scaled down where gradients are larger than that covariance explains (as RMSprop
-    does: Li, Chen, Carlson and Carin 2016). So starts that are far too wide come in geometrically. The pull of the
-    gradient is bounded by 2 sqrt(h) a coordinate (tamed), which draws within four standard deviations never feel;
-    during the warm-up by three times its root mean square over the population, where that is more.
+    covariance of the population, scaled down where gradients are larger than that covariance explains (as in
+    RMSprop: Li, Chen, Carlson and Carin 2016). Starts that are far too wide therefore contract geometrically. The drift
+    is bounded by 2 sqrt(h) per coordinate (tamed), which affects no draw within four standard deviations; during the
+    warm-up by three times its root mean square over the population, if that is more.
 
     Attributes:
         factor: Lower triangular factor of the preconditioner, shape [D, D].
@@ -94,13 +94,13 @@ class Dynamics(Population):
         super().begin(density)
         self.factor = self._scaled()
 
-    def pull(self, h: float) -> torch.Tensor:
+    def drift(self, h: float) -> torch.Tensor:
         """Return h times the whitened gradient, bounded, shape [P, D]."""
-        pull = h * self.gradient @ self.factor
-        bound = torch.full_like(pull[0], 2.0 * h**0.5)
+        drift = h * self.gradient @ self.factor
+        bound = torch.full_like(drift[0], 2.0 * h**0.5)
         if self.iteration < self.warm_up:
-            bound = torch.maximum(bound, 3.0 * (pull**2).mean(0).sqrt())
-        return torch.maximum(torch.minimum(pull, bound), -bound)
+            bound = torch.maximum(bound, 3.0 * (drift**2).mean(0).sqrt())
+        return torch.maximum(torch.minimum(drift, bound), -bound)
 
     def count(self) -> None:
         """Count an iteration, and adapt the preconditioner while the warm-up lasts."""
@@ -144,7 +144,7 @@ class Langevin(Dynamics):
             h = min(1.0, max(h, 4.0 * h * (1.0 + self.iteration) ** (-1 / 3)))
         noise = h**0.5 * self.normal(*self.particles.shape)
         # half of h: the bound is then 2 sqrt(h / 2)
-        self.move(density, self.particles + (self.pull(0.5 * h) + noise) @ self.factor.T)
+        self.move(density, self.particles + (self.drift(0.5 * h) + noise) @ self.factor.T)
         self.count()
         return self.particles
 
@@ -183,7 +183,7 @@ class Hamiltonian(Dynamics):
             self.begin(density)
         a, h = self.friction, self.step_size
         noise = (2.0 * a * h) ** 0.5 * self.normal(*self.particles.shape)
-        velocity = (1.0 - a) * self.velocity + self.pull(h) + noise
+        velocity = (1.0 - a) * self.velocity + self.drift(h) + noise
         fine = self.move(density, self.particles + velocity @ self.factor.T)
         self.velocity = torch.where(fine[:, None], velocity, -velocity)
         self.count()

@@ -1,4 +1,4 @@
-"""Samplers of one interface, by name, and the one call that draws from any density.
+"""All samplers behind one interface, by name, and one function that draws from any density.
 
 | name | sampler | gradients | draws |
 |---|---|---|---|
@@ -6,7 +6,7 @@
 | ``mh`` | Metropolis-Hastings, random walk | no | every chain after the warm-up |
 | ``sgld`` | stochastic gradient Langevin dynamics | yes | every chain after the warm-up |
 | ``sghmc`` | stochastic gradient Hamiltonian Monte Carlo | yes | every chain after the warm-up |
-| ``emcee`` | affine-invariant ensemble, an outside code | no | every chain after the warm-up |
+| ``emcee`` | affine-invariant ensemble | no | every chain after the warm-up |
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ METHODS = tuple(_CLASSES)
 
 @dataclass(frozen=True)
 class Draws:
-    """What a run left.
+    """Result of a run.
 
     Attributes:
         method: Name of the sampler.
@@ -41,7 +41,7 @@ class Draws:
         gradient: Their gradients, shape [P, D]; zero for samplers that take none.
         trace: Positions after every iteration, shape [I, P, D].
         log_density_trace: Log densities after every iteration, shape [I, P].
-        warm_up: Iterations of the trace that are no draws of a chain.
+        warm_up: Iterations at the start of the trace that are discarded.
         chain: Whether the trace after the warm-up holds draws, or the last positions alone.
     """
 
@@ -56,7 +56,7 @@ class Draws:
 
     @property
     def draws(self) -> torch.Tensor:
-        """All draws, shape [N, D]: chains after the warm-up laid end to end, or the particles."""
+        """All draws, shape [N, D]: chains after the warm-up concatenated, or the particles."""
         return self.trace[self.warm_up :].flatten(0, 1) if self.chain else self.particles
 
 

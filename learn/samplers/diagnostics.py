@@ -1,4 +1,4 @@
-"""Did the sampler converge? Split R-hat and effective size of chains; Stein's identities and rest of particles."""
+"""Convergence diagnostics: split R-hat and ESS of chains; Stein's identity, KSD and drift of particles."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ MAX_R_HAT = 1.05
 MIN_ESS = 100.0
 """Smallest bulk effective sample size of a coordinate of converged chains, all chains together."""
 MAX_DRIFT = 0.1
-"""Largest change of a coordinate's mean, or relative change of its spread, over the last fifth [deviations]."""
+"""Largest change of a coordinate's mean or spread over the last fifth of the run [standard deviations]."""
 MAX_STEIN = 0.2
-"""Largest violation of Stein's identity for linear functions, in deviations (mean) and relative (covariance)."""
+"""Largest violation of Stein's identity for linear functions: standard deviations (mean), relative (covariance)."""
 MAX_KSD_RATIO = 1.2
-"""Largest kernelised Stein discrepancy of converged particles, over that of as many exact draws."""
+"""Largest kernelised Stein discrepancy (KSD) of converged particles, relative to that of as many exact draws."""
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """A verdict on a run.
+    """Whether a run converged.
 
     Attributes:
         converged: Whether every criterion holds.
         reason: The criteria and what was found, in one line: those that fail, or all where none fails.
-        numbers: What was measured, by name.
+        numbers: Diagnostics by name.
     """
 
     converged: bool
@@ -41,7 +41,7 @@ class Convergence:
 
 
 def converged(trace: torch.Tensor, *, chain: bool, gradient: torch.Tensor | None = None) -> Convergence:
-    """Judge a run by its trace.
+    """Return whether a run converged, from its trace.
 
     Chains: over the second half, split R-hat below 1.05 and bulk effective sample size above 100 for each coordinate.
     Particles: over the last fifth, mean and spread of each coordinate drift by less than 0.1 deviations; at the end
@@ -54,16 +54,16 @@ def converged(trace: torch.Tensor, *, chain: bool, gradient: torch.Tensor | None
         gradient: Gradients of the log density at the last positions, shape [P, D]; particles need them.
     """
     if chain:
-        return _judge_chains(trace[len(trace) // 2 :])
+        return _check_chains(trace[len(trace) // 2 :])
     if gradient is None:
-        raise TypeError("particles are judged by their gradients: pass gradient")
-    return _judge_particles(trace, gradient)
+        raise TypeError("the diagnostics of particles need gradients: pass gradient")
+    return _check_particles(trace, gradient)
 
 
-def _judge_chains(trace: torch.Tensor) -> Convergence:
+def _check_chains(trace: torch.Tensor) -> Convergence:
     if len(trace) < 4:
-        return Convergence(False, f"{len(trace)} draws a chain are too few to judge, 4 are needed")
-    # a coordinate that never moved has no R-hat: that is the worst
+        return Convergence(False, f"{len(trace)} draws per chain are too few for R-hat, 4 are needed")
+    # a coordinate that never moved has no R-hat and counts as the worst
     worst = float(torch.nan_to_num(r_hat(trace), nan=torch.inf).max())
     least = float(torch.nan_to_num(effective_size(trace), nan=0.0).min())
     return _verdict(
@@ -74,7 +74,7 @@ def _judge_chains(trace: torch.Tensor) -> Convergence:
     )
 
 
-def _judge_particles(trace: torch.Tensor, gradient: torch.Tensor) -> Convergence:
+def _check_particles(trace: torch.Tensor, gradient: torch.Tensor) -> Convergence:
     x = trace[-1]
     if not (trace.isfinite().all() and gradient.isfinite().all()):
         return Convergence(False, "positions or gradients that are not finite")
@@ -85,10 +85,10 @@ def _judge_particles(trace: torch.Tensor, gradient: torch.Tensor) -> Convergence
     ratio = ksd_ratio(x, gradient)
     return _verdict(
         [
-            ("drift", drift, drift < MAX_DRIFT, f"drift {drift:.3f} deviations in the last fifth (below {MAX_DRIFT})"),
-            ("stein_mean", first, first < MAX_STEIN, f"mean gradient {first:.3f} (below {MAX_STEIN})"),
-            ("stein_spread", second, second < MAX_STEIN, f"spread against curvature {second:.3f} (below {MAX_STEIN})"),
-            ("ksd_ratio", ratio, ratio < MAX_KSD_RATIO, f"Stein discrepancy {ratio:.2f} of exact draws' "
+            ("drift", drift, drift < MAX_DRIFT, f"drift {drift:.3f} sd in the last fifth (below {MAX_DRIFT})"),
+            ("stein_mean", first, first < MAX_STEIN, f"Stein identity, mean {first:.3f} (below {MAX_STEIN})"),
+            ("stein_spread", second, second < MAX_STEIN, f"Stein identity, spread {second:.3f} (below {MAX_STEIN})"),
+            ("ksd_ratio", ratio, ratio < MAX_KSD_RATIO, f"KSD {ratio:.2f} relative to exact draws "
              f"(below {MAX_KSD_RATIO})"),
         ]
     )  # fmt: skip

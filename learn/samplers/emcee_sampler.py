@@ -1,4 +1,4 @@
-"""The referee: the affine-invariant ensemble sampler of Goodman and Weare (2010) as emcee has it."""
+"""The affine-invariant ensemble sampler of Goodman and Weare (2010) through emcee, as an independent reference."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .base import Density, Population
 
 
 class Emcee(Population):
-    """Stretch moves of emcee (Foreman-Mackey et al. 2013), an outside code that shares nothing with the other samplers.
+    """Stretch moves of emcee (Foreman-Mackey et al. 2013), an independent implementation.
 
     Runs on the host; asks for log densities alone, half of the chains at a time.
 

@@ -1,7 +1,7 @@
-"""Mixtures of normal densities, one component a posterior sample: what a kernel density estimate predicts.
+"""Mixtures of normal densities, one component per posterior sample: the predictive kernel density estimate.
 
 At every time step and channel the predictive density is a Gaussian kernel density estimate over the particles'
-simulations, Scott's bandwidth h = s P^(-1/5), with the variance of what a sensor adds:
+simulations with Scott's bandwidth h = s P^(-1/5) and the variance v_i of the noise:
 
     p(y) = 1/P sum_i N(y; x_i, h^2 + v_i).
 """
@@ -13,10 +13,10 @@ import math
 import numpy as np
 import torch
 
-#: Halvings of the bracket of a quantile: to a 2^-40 of the spread.
+#: Bisections of the bracket of a quantile: to 2^-40 of its width.
 HALVINGS = 40
-#: Partners of every component in the score's double sum at most, evenly spaced: of pairs (i, i + k) all i are taken
-#: with so many shifts k.
+#: Most partners of each component in the double sum of the CRPS: all pairs (i, i + k) for so many evenly spaced
+#: shifts k.
 SHIFTS = 64
 
 

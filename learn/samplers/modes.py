@@ -12,17 +12,17 @@ import torch
 from .base import Density, spread
 
 BARRIER = 0.7
-"""Fall of the log density between two particles, below the lower of them, that parts their modes."""
+"""Drop of the log density between two particles, below the lower of them, that separates their modes."""
 
 ROUGHNESS = 0.25
-"""The same in units of the interquartile range of the particles' log densities; the larger counts, so that particles
-far from rest are not parted by ripples that will not matter."""
+"""The same relative to the interquartile range of the particles' log densities; the larger applies, so that small
+local maxima do not separate particles far from convergence."""
 
 ROUNDS = 4
 """Batches of P draws that estimate the masses."""
 
 WIDER = 1.2
-"""Factor by which the proposals are wider than the particles' normal fit, so that weights stay bounded."""
+"""Factor by which proposals are wider than the particles' normal fit, which keeps the weights bounded."""
 
 
 def find_basins(density: Density, x: torch.Tensor, log_density: torch.Tensor, gradient: torch.Tensor) -> torch.Tensor:
@@ -33,7 +33,7 @@ def find_basins(density: Density, x: torch.Tensor, log_density: torch.Tensor, gr
     more than one for every four particles: that is roughness, or too few particles to tell.
 
     Args:
-        density: Asked for log densities, in batches of P positions.
+        density: The log density, evaluated in batches of P positions.
         x: Positions, shape [P, D].
         log_density: Log density there, shape [P]; particles without a finite one go with their nearest neighbour.
         gradient: Its gradient there, shape [P, D]; its covariance is the metric, which modes far apart do not distort.
@@ -44,7 +44,7 @@ def find_basins(density: Density, x: torch.Tensor, log_density: torch.Tensor, gr
         return torch.zeros_like(every)
     barrier = _barrier(log_density[known])
     parent = _nearest_higher(x @ spread(gradient), log_density)
-    apart = _parted(density, x, log_density - barrier, every, parent, (0.5,))
+    apart = _separated(density, x, log_density - barrier, every, parent, (0.5,))
     root = torch.where(apart, every, parent)
     for _ in range(len(x).bit_length()):
         root = root[root]
@@ -67,7 +67,7 @@ def _nearest_higher(z: torch.Tensor, log_density: torch.Tensor) -> torch.Tensor:
     return torch.where(rank == 0, order[0], distance.argmin(1))
 
 
-def _parted(
+def _separated(
     density: Density, x: torch.Tensor, floor: torch.Tensor, a: torch.Tensor, b: torch.Tensor, at: tuple[float, ...]
 ) -> torch.Tensor:
     """Return whether the log density between particles a and b, N pairs, falls below both floors, shape [N]."""
@@ -78,21 +78,21 @@ def _parted(
 
 
 def _merge(density: Density, x: torch.Tensor, floor: torch.Tensor, root: torch.Tensor) -> torch.Tensor:
-    """Join modes between whose tops the density does not fall: their members may have been linked across."""
+    """Merge modes if the density does not drop between their maxima."""
     tops = root.unique()
     if len(tops) == 1:
         return root
     i, j = torch.triu_indices(len(tops), len(tops), 1, device=x.device)
-    joined = ~_parted(density, x, floor, tops[i], tops[j], (0.25, 0.5, 0.75))
+    joined = ~_separated(density, x, floor, tops[i], tops[j], (0.25, 0.5, 0.75))
     for a, b in zip(tops[i[joined]], tops[j[joined]], strict=True):
         root = torch.where(root == root[b], root[a], root)
     return root
 
 
 def in_batches(density: Density, x: torch.Tensor, size: int) -> torch.Tensor:
-    """Return log densities [N] of positions [N, D], asked for in batches of one size.
+    """Return log densities [N] of positions [N, D], evaluated in batches of one size.
 
-    A simulator keeps the worlds of one batch size; the last batch is filled with copies of the last position.
+    A simulator keeps the worlds of one batch size; the last batch is padded with copies of the last position.
     """
     filled = torch.cat([x, x[-1:].expand(-len(x) % size, -1)])
     return torch.cat([density.log_density(part) for part in filled.split(size)])[: len(x)]
@@ -104,10 +104,10 @@ def mode_masses(
     """Return the share of the total mass that each of M modes has, shape [M].
 
     Args:
-        density: Asked for log densities.
+        density: The log density.
         centres: Means of the modes, shape [M, D].
         factors: Lower Cholesky factors of their covariances, shape [M, D, D].
-        batch: Number of positions asked for at a time.
+        batch: Number of positions evaluated at a time.
         generator: Random stream.
     """
     count = ROUNDS * batch

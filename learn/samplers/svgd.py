@@ -7,9 +7,9 @@ normal target exactly (Liu and Wang 2018, "Stein variational gradient descent as
 alone loses variance as the dimension grows: with 32 particles in 8 dimensions and the bandwidth of Liu and Wang a third
 of it is left.
 
-No kernel carries mass between modes that are far apart: SVGD leaves as many particles in each as came there from the
-start. Here each mode has its own kernel, its mass is estimated by importance sampling, and particles change mode to
-fit. A mode in which no particle ever came is not found.
+No kernel moves particles between distant modes: SVGD leaves in each mode as many particles as started near it. Here
+each mode has its own kernel, its mass is estimated by importance sampling, and particles are moved between modes to
+match. A mode that no particle reaches is not found.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ def gaussian_direction(x: torch.Tensor, gradient: torch.Tensor) -> torch.Tensor:
     """Return the steepest direction under a Gaussian kernel, shape [P, D].
 
     phi(x_i) = 1/P sum_j k(x_j, x_i) grad log p(x_j) + grad_{x_j} k(x_j, x_i), with k = exp(-|x_j - x_i|^2 / b) and b
-    the median of the squared distances of pairs. Liu and Wang divide that by log P; in several dimensions particles
-    are then nearly alone, and one that lags behind feels a P-th of its own gradient and nobody else's.
+    the median of the squared distances of pairs. Liu and Wang divide that by log P; in several dimensions
+    particles then hardly interact, and one that lags behind moves by its own gradient over P alone.
     """
     difference = x[:, None] - x[None, :]
     squared = (difference**2).sum(-1)
@@ -64,11 +64,11 @@ def whitened_step(x: torch.Tensor, gradient: torch.Tensor, factor: torch.Tensor,
         gradient: Gradients of the log density there, shape [P, D].
         factor: Lower Cholesky factor of the covariance that whitens them, shape [D, D].
         size: Step in whitened coordinates, at most 1. Far from rest, where the direction's root mean square exceeds 1,
-            that is scaled to 1, so that a population too wide or too far away comes in by this factor an iteration.
+            it is scaled to 1, so that a population too wide or too far away contracts by this factor per iteration.
     """
     z = torch.linalg.solve_triangular(factor, (x - x.mean(0)).T, upper=False).T
     g = gradient @ factor
-    # one particle on a cliff must not crush the others; in a normal density no gradient is ten times the median
+    # one extreme gradient must not dominate; in a normal density no gradient is ten times the median
     length = g.norm(dim=1, keepdim=True)
     g = g * (10.0 * length.median() / length.clamp(min=1e-300)).clamp(max=1.0)
     phi = gaussian_direction(z, g) + linear_direction(z, g)
@@ -123,7 +123,7 @@ class Svgd(Population):
         return self.particles
 
     def _factor(self, members: torch.Tensor) -> torch.Tensor:
-        """Whiten the members of a mode; one that has but a few shares the spread of all modes."""
+        """Return the whitening factor of a mode; small modes use the pooled covariance of all modes."""
         if int(members.sum()) > self.particles.shape[1]:
             return spread(self.particles[members])
         return self._pooled()
@@ -137,7 +137,7 @@ class Svgd(Population):
         return spread(centred)
 
     def _reallocate(self, density: Density) -> None:
-        """Estimate the masses of the modes and let particles change mode until their numbers fit."""
+        """Estimate the masses of the modes and move particles between modes to match them."""
         labels = self.mode.unique()
         if len(labels) < 2:
             return

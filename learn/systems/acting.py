@@ -23,7 +23,7 @@ FIELD = "effect"
 
 @dataclass(frozen=True)
 class Acting:
-    """One effect at one place; parameters that are not given are unknown.
+    """One effect at one place; parameters without a known value are unknown.
 
     Attributes:
         name: Of the effect.
@@ -110,12 +110,12 @@ class ActingSet:
 
     @property
     def persists(self) -> bool:
-        """Whether damage of one recording is there in the next."""
+        """Whether damage of one recording persists in the next."""
         return any(law.persistent for law in self.laws.values())
 
     @property
     def settles(self) -> bool:
-        """Whether the branch rests elsewhere than in its given pose."""
+        """Whether the rest pose differs from the given pose."""
         return any(law.settles for law in self.laws.values())
 
     def neutral(self) -> list[float]:
@@ -140,7 +140,7 @@ class ActingSet:
             write(FIELD, entry.place * stride + at, 0, value)
 
     def marks(self, columns: torch.Tensor) -> torch.Tensor:
-        """Return 1 for every set in which the branch rests elsewhere than in its given pose, else 0, [sets]."""
+        """Return 1 for every set whose rest pose differs from the given pose, else 0, [sets]."""
         out = columns.new_zeros(len(columns))
         for entry, value in zip(self.entries, self.values(columns), strict=True):
             law = self.laws[self.names[entry.place // 6]]
@@ -205,7 +205,7 @@ def branch_settings(case: BranchCase) -> list[Setting]:
 
 
 def _moments(case: BranchCase) -> tuple[float, ...]:
-    """Moments at which a branch may change for good: more in the first recording, where little else shows before."""
+    """Candidate times of permanent changes of a branch: denser in the first recording."""
     first = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8)
     shares = [first] + [(0.05, 0.12, 0.25, 0.4, 0.65)] * (len(case.trajectories) - 1)
     return tuple(t.t_start + s * float(t.t[-1]) for t, own in zip(case.trajectories, shares, strict=True) for s in own)
@@ -231,7 +231,7 @@ def joint_settings(case: JointCase, carried: Sequence[float]) -> list[Setting]:
 
 
 def _motion(case: JointCase, name: str) -> tuple[float, float, float]:
-    """Largest angle, rate and acceleration of a joint; what is not measured follows from what is."""
+    """Largest angle, rate and acceleration of a joint; unmeasured ones are derived from measured ones."""
     series: dict[str, list[Array]] = {
         o.quantity: [t.output[:, c] for t in case.trajectories] for c, o in enumerate(case.outputs) if o.joint == name
     }

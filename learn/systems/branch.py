@@ -25,7 +25,7 @@ Joints = Literal["spherical", "revolute"]
 
 @dataclass(frozen=True)
 class Unknowns:
-    """What is to be learnt about a branch, and between which bounds.
+    """What is inferred about a branch, and within which bounds.
 
     Attributes:
         joints: ``spherical`` joints, or ``revolute`` ones that bend every segment up and down.
@@ -63,7 +63,7 @@ class BranchSystem:
     RELAXATION = (1e-4, 10.0)
     #: Least relaxation time D / K of a ball joint, in substeps. A segment has hardly any inertia about its own axis,
     #: so explicit springs are stable there only with D / K above half a substep. Below, the simulator makes springs of
-    #: all joints partly implicit at once; that jump in the dynamics splits a posterior into modes that nature has not.
+    #: all joints partly implicit at once; that jump in the dynamics splits a posterior into spurious modes.
     LEAST_RELAXATION = 0.6
     TYPICAL_YOUNG, TYPICAL_RELAXATION = 5e8, 0.02
 
@@ -96,7 +96,7 @@ class BranchSystem:
         return [kind for kind in get_args(Kind) if kind in self.unknowns.infer]
 
     def _of_kind(self, kind: Kind) -> list[Parameter]:
-        """Parameters of a kind: one a segment, or one for all."""
+        """Parameters of a kind: one per segment, or one for all."""
         segments = range(self.branch.num_segments)
         groups = [list(segments)] if kind in self.unknowns.shared else [[i] for i in segments]
         self._slots += [(kind, group) for group in groups]

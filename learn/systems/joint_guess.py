@@ -1,4 +1,4 @@
-"""A first guess of joints' unknowns by least squares on derivatives of what was measured, for searches to begin at."""
+"""Initial guess of joints' unknowns by least squares on derivatives of the measured motion."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ WINDOW, ORDER = 7, 4
 
 
 def guess_joint(case: JointCase, joint: JointSpec) -> dict[str, float]:
-    """Return guesses of a joint's unknowns by name; those the data do not show, or show negative, are left out.
+    """Return guesses of a joint's unknowns by name, without those that the data do not determine.
 
-    Least squares, all coefficients kept from being negative, of
+    Non-negative least squares of
 
         m q'' + d q' + k q + A sin(q - zero) = effort,
 

@@ -14,7 +14,7 @@ from .acting import ActingSet
 from .joint_guess import guess_joint
 from .system import Parameter, Write
 
-#: How far above its first guess the box of a spring or damper reaches at least.
+#: Least upper bound of a spring or damper relative to its first guess.
 SLOW = 30.0
 
 
@@ -55,11 +55,11 @@ class JointSystem:
     ) -> list[Parameter]:
         turn = "rad" if joint.type == "revolute" else "m"
         force = "N m" if joint.type == "revolute" else "N"
-        # of what moves too slowly to show its inertia: the one with which it would swing as fast as samples can show
+        # motion too slow to show its inertia: upper bound at which it would oscillate as fast as the sampling resolves
         slow = guess.get("stiffness", 0.0) / fastest
         inertia = joint.inertia or max(guess.get("inertia", 0.0 if slow else 1.0), slow)
         sought = joint.inertia is None or joint.stiffness is None
-        # what is pulled slowly shows a spring and a damper whatever the samples, and no inertia
+        # slow motion shows a spring and a damper at any sampling rate, but no inertia
         stiffest = max(inertia * fastest, SLOW * guess.get("stiffness", 0.0))
         stickiest = max(inertia * fastest**0.5, SLOW * guess.get("damping", 0.0))
         self._resolve(inertia, joint.stiffness or guess.get("stiffness", 0.0), self._finest if sought else 0.0)
@@ -80,7 +80,7 @@ class JointSystem:
         return out
 
     def _offset(self, i: int, joint: JointSpec, case: JointCase) -> list[Parameter]:
-        """Return the constant by which a sensor of effort reads zero off, of any size up to what was measured."""
+        """Return the constant offset of an effort sensor, bounded by the largest measured effort."""
         driven = [k for k, item in enumerate(case.inputs) if item.joint == joint.name]
         most = max(float(np.abs(t.effort[:, driven]).max(initial=0.0)) for t in case.trajectories)
         if most == 0.0:
@@ -90,7 +90,7 @@ class JointSystem:
         return [Parameter(f"offset {joint.name}", unit, -most, most, 0.0, "linear")]
 
     def _resolve(self, inertia: float, stiffness: float, finest: float) -> None:
-        """Shorten the step so that an oscillation of the guessed frequency turns by at most `TURN` a step."""
+        """Shorten the step so that an oscillation of the guessed frequency turns by at most `TURN` per step."""
         if stiffness > 0.0:
             self.substep = min(self.substep, max(finest, self.TURN * (inertia / stiffness) ** 0.5))
 

@@ -110,7 +110,7 @@ class MechanismSystem:
         return has
 
     def _parameter(self, part: str, joint: JointAxis) -> Parameter:
-        """Return an unknown with its box: about the file's value, and for joints what the recordings can show."""
+        """Return an unknown with its box: about the file's value, and for joints from what the recordings resolve."""
         name, i = f"{part} {joint.name}", joint.link
         revolute = joint.type == "revolute"
         force, turn = ("N m", "rad") if revolute else ("N", "m")
@@ -134,7 +134,7 @@ class MechanismSystem:
         return makers[part]()
 
     def _largest_effort(self, joint: JointAxis) -> float:
-        """Largest measured effort of a joint [N m or N], or where nothing drives it what gravity can ask of it."""
+        """Largest measured effort of a joint [N m or N], or the largest gravity load if nothing drives it."""
         driven = [i.joint for i in self._case.inputs]
         if joint.name in driven:
             column = driven.index(joint.name)
@@ -163,7 +163,7 @@ class MechanismSystem:
                 self._write_body(joint, own, place, write)
 
     def _preload(self, joint: JointAxis, own: Values) -> torch.Tensor:
-        """Constant effort: the spring's pull to its rest and what is unknown, or the file's, beside it."""
+        """Constant effort: of the spring at coordinate zero, plus the unknown or given pre-load."""
         i = joint.link
         any_one = next(iter(own.values()))
         stiffness = own.get("stiffness", torch.full_like(any_one, float(self.tree.stiffness[i])))

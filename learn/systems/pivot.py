@@ -1,4 +1,4 @@
-"""A branch on a trunk that gives way: one more ball joint, below the base."""
+"""A branch on a compliant trunk: one more ball joint, below the base."""
 
 from __future__ import annotations
 

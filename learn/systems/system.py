@@ -1,4 +1,4 @@
-"""What a case describes, as something that parameters can be written into: a tree and its unknowns."""
+"""Systems that parameters can be written into: a tree and its unknowns."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def tails_of(parameters: Sequence[Parameter]) -> torch.Tensor:
 def least_precision(parameters: Sequence[Parameter]) -> torch.Tensor:
     """Return the precision of free coordinates that no data show, float64, shape [n].
 
-    That of one e-fold, or of a flat box for a parameter without logarithm: no particle is thrown farther.
+    That of one e-fold, or of a flat box for a parameter without logarithm: no particle is drawn farther away.
     """
     least = [1.0 if p.scale == "log" else 12.0 / (p.high - p.low) ** 2 for p in parameters]
     return torch.tensor(least, dtype=torch.float64)

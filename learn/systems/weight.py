@@ -1,4 +1,4 @@
-"""The weight of a chain of segments as torch sees it, for unknown densities and rest angles; quaternions w, x, y, z."""
+"""Weight of a chain of segments in torch, for unknown densities and rest angles; quaternions are w, x, y, z."""
 
 from __future__ import annotations
 

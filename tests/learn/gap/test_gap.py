@@ -9,17 +9,20 @@ import pytest
 import torch
 from bough.learn.cases.case import BranchCase, load_case
 from bough.learn.cases.noise import estimate_noise
-from bough.learn.gap.candidates import Candidate, everywhere, names_for, probes_of
-from bough.learn.gap.contest import Contest, Rows, active_rows
-from bough.learn.gap.decide import Field, alternatives, chosen, known, lacks_fit, leading
-from bough.learn.gap.diagnose import Diagnoser, Settings, too_loud
-from bough.learn.gap.evidence import family_wise
+from bough.learn.gap.decide import alternatives, chosen, known, leading
+from bough.learn.gap.diagnose import find_missing
+from bough.learn.gap.diagnosis import Settings
+from bough.learn.gap.evidence import family_wise, lacks_fit
 from bough.learn.gap.exam import as_text, grades
+from bough.learn.gap.models.candidates import Candidate, everywhere, names_for, probes_of
+from bough.learn.gap.models.contest import Batch, Contest, activated
+from bough.learn.gap.models.fitted import FittedModels, Model
+from bough.learn.gap.models.refit import Fits, bounded, evaluated, fit
+from bough.learn.gap.models.scan import Basis, Scan, score_probes
 from bough.learn.gap.next_probe import ARM_PROBES, best_probe, recordings_of
-from bough.learn.gap.refit import Fits, bounded, evaluated, fit
-from bough.learn.gap.scan import Basis, Scan, look
-from bough.learn.gap.search import Model
-from bough.learn.gap.setup import in_pieces
+from bough.learn.gap.prepare import in_pieces
+from bough.learn.gap.run import Run
+from bough.learn.gap.usable import too_noisy
 from bough.learn.hidden import hide
 from bough.learn.replay.recording import recordings
 from bough.learn.replay.rollout import Rollout
@@ -39,7 +42,7 @@ def small(tmp_path_factory):
     case = load_case(folder)
     noise = estimate_noise(case)
     contest = Contest(case, recordings(case), np.concatenate([noise.displacement, noise.velocity]), FEW)
-    return contest, fit(contest, contest.rows(1), 12)
+    return contest, fit(contest, contest.base_batch(1), 12)
 
 
 # ---- the machinery -------------------------------------------------------------------------------------------------
@@ -48,23 +51,23 @@ def small(tmp_path_factory):
 def test_inactive_effects_leave_the_plain_replay(small):
     """Simulate with every effect compiled in and none active what the plain kernel simulates, to single precision."""
     contest, base = small
-    values = contest.values(base.rows)
+    values = contest.values(base.batch)
     plain = Rollout(contest.case, contest.recordings, 1)(values[:, : contest.num_base])[0].double()
-    torch.testing.assert_close(contest.simulate(values, base.rows.start)[0].double(), plain, atol=2e-6, rtol=1e-5)
+    torch.testing.assert_close(contest.simulate(values, base.batch.start)[0].double(), plain, atol=2e-6, rtol=1e-5)
 
 
 def test_derivatives_are_those_of_central_differences(small):
     """Agree with central differences of a tenth of the step to the 3 % that one-sided ones of 1 % may be off."""
     contest, base = small
-    rows = active_rows(contest, base.rows, [[c for c, x in enumerate(contest.candidates) if x.name == "force_scale"]])
-    rows.free[0, -1] = 0.0
+    batch = activated(contest, base.batch, [[c for c, x in enumerate(contest.candidates) if x.name == "force_scale"]])
+    batch.free[0, -1] = 0.0
     column = int(next(c for x in contest.candidates if x.name == "force_scale" for c in x.columns))
-    rows.free[0, column] = 0.1
-    _, derivative, columns = contest.linearise(rows)
+    batch.free[0, column] = 0.1
+    _, derivative, columns = contest.linearise(batch)
     for k, c in enumerate(columns[0].tolist()):
         ends = []
         for sign in (1.0, -1.0):
-            moved = Rows(rows.free.clone(), rows.active, rows.start, rows.weight)
+            moved = Batch(batch.free.clone(), batch.active, batch.start, batch.weight)
             moved.free[0, c] += sign * 5e-3
             ends.append(contest.simulate(contest.values(moved), moved.start))
         wanted = contest.whiten(ends[0] - ends[1])[0] / 1e-2
@@ -74,10 +77,10 @@ def test_derivatives_are_those_of_central_differences(small):
 def test_rows_do_not_feel_each_other(small):
     """Fit a row beside others to the same bits as alone."""
     contest, base = small
-    rows = Rows.joined([base.rows, base.rows, base.rows])
-    rows.free[1, : contest.num_base] += 0.5
-    together, alone = fit(contest, rows, 2), fit(contest, rows[slice(1, 2)], 2)
-    torch.testing.assert_close(together.rows.free[1], alone.rows.free[0], rtol=1e-6, atol=1e-6)
+    batch = Batch.joined([base.batch, base.batch, base.batch])
+    batch.free[1, : contest.num_base] += 0.5
+    together, alone = fit(contest, batch, 2), fit(contest, batch[slice(1, 2)], 2)
+    torch.testing.assert_close(together.batch.free[1], alone.batch.free[0], rtol=1e-6, atol=1e-6)
 
 
 def test_a_step_at_a_bound_lets_the_rest_go_on():
@@ -109,20 +112,20 @@ def test_gain_is_what_a_linear_model_would_explain(small):
     candidate = contest.candidates[index]
     probe = probes_of(index, candidate, [contest.parameters[c] for c in candidate.columns], contest.settings[0])[0]
     assert probe.moved == (0, 1, 2)
-    first = look(contest, basis, [probe], basis.residual[None])
-    moved = active_rows(contest, base.rows, [[index]])
+    first = score_probes(contest, basis, [probe], basis.residual[None])
+    moved = activated(contest, base.batch, [[index]])
     moved.free[0, candidate.columns[0]] = 0.1 * float(contest.high[candidate.columns[0]])
     change = contest.simulate(contest.values(moved), moved.start) - contest.simulate(
-        contest.values(base.rows), base.rows.start
+        contest.values(base.batch), base.batch.start
     )
     column = contest.whiten(change).flatten(1)
     own = basis.free_of(column)[0]
-    second = look(contest, basis, [probe], column)
+    second = score_probes(contest, basis, [probe], column)
     assert float(second.gain[0, 0]) == pytest.approx(float(own @ own), rel=1e-3)
     assert second.strength[0].tolist() == pytest.approx([1.0, 0.0, 0.0], abs=1e-2)
     assert first.gain.shape == (1, 1)
     # what the base would imitate and what is free of it are the whole column
-    imitated = second.taken[0] @ basis._rows[: len(basis.columns)]
+    imitated = second.absorbed[0] @ basis._jacobian[: len(basis.columns)]
     torch.testing.assert_close(imitated + own, column[0], rtol=0.0, atol=0.02 * float(column.abs().max()))
 
 
@@ -153,10 +156,10 @@ def test_probes_are_worth_what_tells_models_apart(small):
     """Find nothing in a recording without a push, more in a larger push, and the best probe above the others."""
     contest, base = small
     place = next(k for k, c in enumerate(contest.candidates) if c.name == "dry_friction")
-    rows = active_rows(contest, base.rows, [[place]])
+    batch = activated(contest, base.batch, [[place]])
     column = contest.candidates[place].columns[0]
-    rows.free[0, column] = float(contest.high[column])
-    rubs, plain = Model((place,), evaluated(contest, rows)), Model((), base)
+    batch.free[0, column] = float(contest.high[column])
+    rubs, plain = Model((place,), evaluated(contest, batch)), Model((), base)
     worth = {p.words: best_probe(contest, rubs, plain, [p]).evidence for p in ARM_PROBES}
     still = next(p for p in ARM_PROBES if "without a push" in p.words)
     assert worth[still.words] == pytest.approx(0.0, abs=1e-6)
@@ -172,7 +175,7 @@ def test_probes_are_worth_what_tells_models_apart(small):
 
 
 def field_of(chi2, base=3000.0, samples=1000):
-    """Return a field in which models have the given squares: {members: chi2}."""
+    """Return a fitted in which models have the given squares: {members: chi2}."""
     names = ["dry_friction", "hysteresis_boucwen", "tip_mass"]
     candidates = [Candidate(SimpleNamespace(name=n, label=n), (k,), ()) for k, n in enumerate(names)]
     contest = SimpleNamespace(num_samples=samples, candidates=candidates, case=object.__new__(BranchCase))
@@ -181,7 +184,7 @@ def field_of(chi2, base=3000.0, samples=1000):
         one = torch.tensor([float(value)])
         return Model(members, Fits(None, one, one, one, one), True)
 
-    return Field(contest, model((), base), [model(m, v) for m, v in chi2.items()])
+    return FittedModels(contest, model((), base), [model(m, v) for m, v in chi2.items()])
 
 
 def test_a_further_effect_must_explain_much_of_what_is_left():
@@ -208,36 +211,36 @@ def test_of_names_that_tie_the_one_that_goes_further_leads():
 
 def test_the_nearest_name_is_what_explains_most_alone():
     """Put forward of two effects the one that does more by itself, wherever it stands."""
-    field = field_of({(0,): 2600, (2,): 1500, (0, 2): 1400})
-    assert leading(field, field.models[2]) == 2 and leading(field, field.models[0]) == 0
+    fitted = field_of({(0,): 2600, (2,): 1500, (0, 2): 1400})
+    assert leading(fitted, fitted.models[2]) == 2 and leading(fitted, fitted.models[0]) == 0
 
 
 def test_a_misfit_far_above_noise_is_not_nothing():
     """Miss something where the base leaves three squares a number, if their excess of 1.4 of noise matters."""
-    field = field_of({}, base=3000.0)
-    assert lacks_fit(field.contest, field.base, 1.3) and not lacks_fit(field.contest, field.base, 1.5)
-    assert not lacks_fit(field.contest, field_of({}, base=1900.0).base, 0.1)  # the noise may have been taken too low
+    fitted = field_of({}, base=3000.0)
+    assert lacks_fit(fitted, 1.3) and not lacks_fit(fitted, 1.5)
+    assert not lacks_fit(field_of({}, base=1900.0), 0.1)  # the noise may have been taken too low
 
 
 def test_names_are_claimed_only_where_enough_is_explained():
     """Claim what leaves noise or explains nine tenths of the excess; nothing that explains four fifths."""
     for left, claimed in ((1100, True), (1200, True), (1400, False)):
-        field = field_of({(0,): left})
-        assert known(field, field.models[0]) is claimed
+        fitted = field_of({(0,): left})
+        assert known(fitted, fitted.models[0]) is claimed
 
 
 def test_one_law_at_two_joints_must_explain_nearly_all():
     """Claim friction at two joints of a branch where it leaves next to nothing, not where it leaves a twentieth."""
     for left, claimed in ((1040, True), (1100, False)):
-        field = field_of({(0, 2): left})
-        field.contest.candidates[2] = field.contest.candidates[0]
-        assert known(field, field.models[0]) is claimed
+        fitted = field_of({(0, 2): left})
+        fitted.contest.candidates[2] = fitted.contest.candidates[0]
+        assert known(fitted, fitted.models[0]) is claimed
 
 
 def test_what_fits_as_well_is_reported():
     """Report a rival within reach of the criterion, not one far behind."""
-    field = field_of({(0,): 1050, (1,): 1055, (2,): 1500})
-    assert alternatives(field, field.models[0]) == {"dry_friction": ("hysteresis_boucwen",)}
+    fitted = field_of({(0,): 1050, (1,): 1055, (2,): 1500})
+    assert alternatives(fitted, fitted.models[0]) == {"dry_friction": ("hysteresis_boucwen",)}
 
 
 def test_exam_is_graded_by_hand():
@@ -277,7 +280,7 @@ def diagnosed(folder, **hidden):
     """Hide something and return the diagnosis."""
     hide(folder, **hidden)
     with one_thread():
-        return Diagnoser(load_case(folder), Settings(particles=0)).run()
+        return find_missing(load_case(folder), Run(Settings(particles=0)))
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03, 0.05])
@@ -317,7 +320,7 @@ def test_effect_on_no_list_is_unknown(tmp_path):
 
 def test_poor_cases_say_nothing(tmp_path):
     """Call a single trajectory and noise as large as the motion unknown, with what to do."""
-    assert too_loud(1.2) is not None and too_loud(20.0) is None
+    assert too_noisy(1.2) is not None and too_noisy(20.0) is None
     make_branch_case(tmp_path / "case", 3, segments=1, samples=40, dt=2e-3)
     with pytest.raises(InputError, match=r"an effect that this case cannot show|one of"):
         names_for(load_case(tmp_path / "case"), ("no_such_effect",))

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import yaml
 from bough.learn.cases.case import load_case
-from bough.learn.gap.diagnose import Diagnoser
+from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
+from bough.learn.gap.run import Run
 from bough.learn.runs.threads import one_thread
 from oracles.double_pendulum import write_dfki
 
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="measured data folder 
 def diagnosed(folder, most=2):
     """Return the diagnosis of a case."""
     with one_thread():
-        return Diagnoser(load_case(folder), Settings(particles=0, max_effects=most)).run()
+        return find_missing(load_case(folder), Run(Settings(particles=0, max_effects=most)))
 
 
 def test_pendulum_rubs():

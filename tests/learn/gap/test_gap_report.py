@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from bough.learn.gap import figures
 from bough.learn.gap.diagnosis import Diagnosis, Gap, Interval, Rival, Settings, Share
-from bough.learn.gap.report import readable, write_diagnosis
+from bough.learn.gap.report import readable
 from bough.learn.gap.where import grasp_response, joint_torque, locate, noise_seen, parts_of, phases, regime
+from bough.learn.gap.write import write_diagnosis
 from bough.learn.replay.recording import recordings
 from bough.learn.systems.acting import Acting
 
@@ -72,7 +73,7 @@ def diagnosis(folder: Path, verdict: str, *, count: int = 3, posterior=None) -> 
         alternatives={"dry_friction@0": ("hysteresis_boucwen",)} if named else {},
         nearest="plastic_set" if verdict == "unknown" else None,
         where=locate(case, recorded, SIGMA, base, np.array([SPRING])), gap=Gap(0.0123, 0.00214, 0.00198, "m", (1,)),
-        ranking=ranking, explained=0.97, base_misfit=2.0, motion=30.0, p_null=0.0204,
+        ranking=ranking, explained=0.97, base_reduced_chi2=2.0, motion=30.0, p_null=0.0204,
         base_output=base, best_output=best,
         base_values={"stiffness stick": 30.0}, best_values={"stiffness stick": 31.0, "tip_mass mass_kg": 0.051},
         next_experiment="Release it from a large and a small deflection.", posterior=posterior,
@@ -229,7 +230,7 @@ def test_diagnosis_is_written_whole(written, verdict: str) -> None:
     }
     assert re.search(rf'<h1 class="{STATUS[verdict]}"><span>This is what a person reads first: {verdict}', page)
     assert page.index("Fitted values") < page.index("heat.png") < page.index("ranking.png") < page.index("parts.png")
-    for part in ("springs and dampers alone", "plastic_set@0", "not tried", "812", "123,456", "scan 1.2, fits 2.5"):
+    for part in ("base model", "plastic_set@0", "not computed", "812", "123,456", "scan 1.2, fits 2.5"):
         assert part in page
 
 
@@ -244,8 +245,8 @@ def test_first_screen_says_what_to_do(written) -> None:
         assert made.where.regime in first[verdict] and "recording 2 (run_1.csv)" in first[verdict]
     for part in ("dry_friction@0 torque_Nm", "0.211 N m", "0.189 to 0.233", "tip_mass mass_kg", "hysteresis_boucwen"):
         assert part in first["effects"] and part not in first["none"] and part not in first["unknown"]
-    assert "plastic_set, which leaves too much over" in first["unknown"]
-    assert "Nearest name" not in first["none"] + first["effects"]
+    assert "plastic_set, which explains too little" in first["unknown"]
+    assert "Nearest candidate" not in first["none"] + first["effects"]
 
 
 def test_joints_are_drawn_against_their_motion(tmp_path: Path) -> None:

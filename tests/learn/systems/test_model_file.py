@@ -8,8 +8,8 @@ import pytest
 import torch
 import yaml
 from bough.cli.main import main
-from bough.learn.gap.diagnose import write_repaired
 from bough.learn.gap.diagnosis import Interval
+from bough.learn.gap.write import write_repaired
 from bough.learn.inference.identify import Settings, identify
 from bough.learn.replay.recording import recordings
 from bough.learn.replay.rollout import Rollout

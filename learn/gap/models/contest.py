@@ -1,12 +1,12 @@
-"""One batch of worlds in which many models of a case compete: the base, and every effect at every place.
+"""Many models of one case simulated in one batch of worlds: the base model, and every effect at every place.
 
-A kernel holds all effects; a world uses those of its row alone. A row is a vector of free coordinates of all parameters
-(base, then effects) and a mask of those that are free in it; what is not stays at its neutral value. Residuals are
-whitened with the noise that was estimated from the data before any model, noise of the force seen through the model
-included, so that a perfect model leaves white noise of deviation one.
+The kernel holds all effects; each world switches on those of its own model. A model is a vector of free coordinates of
+all parameters (base first, then effects) and a mask of the active ones; the others stay at their neutral values.
+Residuals are whitened with the noise estimated from the data alone, including the response to the force's noise, so a
+perfect model leaves white noise of standard deviation one.
 
-Wood bends inside a segment too. What that would do is simulated on a finer branch and enters every fit as a few linear
-columns with a prior (`nuisance`), so that no effect is named for it.
+Wood also bends inside a segment. Its response is simulated on a finer branch and enters every fit as a few linear
+nuisance columns with a prior (`nuisance`), so that no effect is named for it.
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ from dataclasses import dataclass
 
 import torch
 
-from ...sim.base.types import Array
-from ..cases.case import BranchCase, JointCase
-from ..replay.equation_error import simulation_of
-from ..replay.input_noise import Colour
-from ..replay.recording import Recording
-from ..replay.rollout import Rollout
-from ..systems.branch import Unknowns
-from ..systems.system import box_of, values_of
+from ....sim.base.types import Array
+from ...cases.case import BranchCase, JointCase
+from ...replay.equation_error import simulation_of
+from ...replay.input_noise import Colour
+from ...replay.recording import Recording
+from ...replay.rollout import Rollout
+from ...systems.branch import Unknowns
+from ...systems.system import box_of, values_of
 from .candidates import Candidate, everywhere
 
-#: Sets of parameters in one launch; what is left over runs in launches of the second size.
+#: Parameter sets per launch; a small remainder runs in launches of the second size.
 LAUNCH, SMALL = 128, 16
-#: Step for derivatives, in the reach of a free coordinate and in the scale of start states: wide, for it sees past the
-#: small waves of a rugged misfit, and narrow, for it does not bend the derivative of a law that is.
+#: Finite-difference steps, relative to the reach of a free coordinate and to the scale of start states. The wide step
+#: averages over a rugged chi-squared surface; the narrow one has less truncation error where a law is curved.
 STEP, NARROW = 0.01, 0.002
-#: Deviation of a base parameter's free coordinate about its typical value; of an effect's, in half widths of its box.
+#: Prior standard deviation of a base parameter's free coordinate; of an effect's, in half widths of its box.
 BASE_SPREAD, EFFECT_SPREAD = 3.0, 1.0
 
 
 @dataclass
-class Rows:
-    """Models side by side.
+class Batch:
+    """A batch of S models of one case.
 
     Attributes:
-        free: Free coordinates of all parameters, shape [S, n]; only those that are active count.
-        active: Which are free, shape [S, n].
+        free: Free coordinates of all parameters, shape [S, n]; only active ones count.
+        active: Mask of the parameters that each model fits, shape [S, n].
         start: Start states, shape [S, R, J, 2].
         weight: Weight of every recording, shape [S, R].
     """
@@ -52,24 +52,24 @@ class Rows:
     start: torch.Tensor
     weight: torch.Tensor
 
-    def __getitem__(self, index: torch.Tensor | slice) -> Rows:
-        return Rows(self.free[index], self.active[index], self.start[index], self.weight[index])
+    def __getitem__(self, index: torch.Tensor | slice) -> Batch:
+        return Batch(self.free[index], self.active[index], self.start[index], self.weight[index])
 
     def __len__(self) -> int:
         return len(self.free)
 
-    def copy(self) -> Rows:
-        """Return rows that share no memory with these."""
-        return Rows(self.free.clone(), self.active.clone(), self.start.clone(), self.weight.clone())
+    def copy(self) -> Batch:
+        """Return a batch that shares no memory with this one."""
+        return Batch(self.free.clone(), self.active.clone(), self.start.clone(), self.weight.clone())
 
     @staticmethod
-    def joined(parts: Sequence[Rows]) -> Rows:
-        """Return rows one after the other."""
-        return Rows(*(torch.cat([getattr(p, k) for p in parts]) for k in ("free", "active", "start", "weight")))
+    def joined(parts: Sequence[Batch]) -> Batch:
+        """Return several batches as one."""
+        return Batch(*(torch.cat([getattr(p, k) for p in parts]) for k in ("free", "active", "start", "weight")))
 
 
 class Contest:
-    """Simulates rows of models of one case.
+    """Simulates batches of models of one case.
 
     Args:
         case: The case.
@@ -84,15 +84,14 @@ class Contest:
         num_base: How many are the system's own.
         candidates: Every effect at every place.
         low, high: Box of the free coordinates, shape [n].
-        centre, spread: Prior of the free coordinates, normal, shape [n].
+        centre, spread: Mean and standard deviation of the normal prior of the free coordinates, shape [n].
         reach: Change of a free coordinate over which the response is about linear, shape [n].
-        colour: How noise of the force correlates the residuals, None where it does not.
-        nuisance: Whitened linear columns that every model may use, shape [m, R T C], with normal priors of mean
-            ``nuisance_mean`` and deviation ``nuisance_spread``, shape [m].
-        overdispersion: Squared ratio of the misfit that is to be expected anyway to the noise: priors weigh that much
-            more, as if the misfit were divided by it.
+        colour: How noise of the force correlates the residuals; None where it does not.
+        nuisance: Whitened linear columns shared by all models, shape [m, R T C], with normal priors of mean
+            ``nuisance_mean`` and standard deviation ``nuisance_spread``, shape [m].
+        overdispersion: Reduced chi-squared expected of the best model; prior terms are scaled by it.
         names: Effects that may act.
-        num_samples: Measured numbers that count.
+        num_samples: Number of measured values with noise above zero, the N of the reduced chi-squared.
         world_steps: World-steps taken so far.
     """
 
@@ -115,7 +114,7 @@ class Contest:
         self.low, self.high = low.to(self.place), high.to(self.place)
         self._prior()
         self._stack()
-        self.weigh(sigma)
+        self.set_noise(sigma)
         self.colour: Colour | None = None
         self.overdispersion = 1.0
         self._stiffen()
@@ -126,7 +125,7 @@ class Contest:
         self.nuisance_mean, self.nuisance_spread = empty, empty
 
     def rigid(self) -> Contest:
-        """Return the same contest, sharing its memory, in which segments do not bend: as every simulator has them."""
+        """Return the same contest, sharing memory, without nuisance columns: its segments are rigid."""
         out = copy(self)
         out._stiffen()
         return out
@@ -174,8 +173,8 @@ class Contest:
         self.start0 = torch.stack([torch.as_tensor(r.start) for r in self.recordings]).to(self.place)
         self.start_scale = max(float(self.measured.abs().max()), 1e-9)
 
-    def weigh(self, sigma: Array) -> None:
-        """Take the noise of the channels, shape [C], to be this; a channel of noise zero does not count."""
+    def set_noise(self, sigma: Array) -> None:
+        """Set the noise of the channels, shape [C]; channels with zero noise are ignored."""
         self.sigma = torch.as_tensor(sigma, dtype=torch.float64, device=self.place)
         used = self.sigma > 0.0
         inverse = torch.where(used, 1.0 / torch.where(used, self.sigma, 1.0), 0.0)
@@ -189,17 +188,17 @@ class Contest:
         """World-steps taken so far."""
         return sum(r.world_steps for r in self._rollouts.values())
 
-    def rows(self, count: int) -> Rows:
-        """Return rows of the base model at its typical values, all recordings counted."""
+    def base_batch(self, count: int) -> Batch:
+        """Return a batch of ``count`` base models at typical values, all recordings with weight one."""
         free = self.centre.expand(count, -1).clone()
         active = torch.zeros_like(free, dtype=torch.bool)
         active[:, : self.num_base] = True
         start = self.start0.expand(count, *self.start0.shape).clone()
-        return Rows(free, active, start, free.new_ones(count, len(self.recordings)))
+        return Batch(free, active, start, free.new_ones(count, len(self.recordings)))
 
-    def values(self, rows: Rows) -> torch.Tensor:
-        """Return parameter values in SI units, [S, n]; those that are not active are neutral."""
-        return torch.where(rows.active, values_of(self.parameters, rows.free), self._neutral)
+    def values(self, batch: Batch) -> torch.Tensor:
+        """Return parameter values in SI units, [S, n]; inactive parameters are neutral."""
+        return torch.where(batch.active, values_of(self.parameters, batch.free), self._neutral)
 
     def simulate(self, values: torch.Tensor, start: torch.Tensor) -> torch.Tensor:
         """Return the channels [S, R, T, C] of parameter values [S, n] from start states [S, R, J, 2]."""
@@ -214,75 +213,93 @@ class Contest:
         return torch.cat(parts)
 
     def whiten(self, difference: torch.Tensor) -> torch.Tensor:
-        """Return differences of channels [S, R, T, C] as numbers that noise makes white, of deviation one."""
+        """Return differences of channels [S, R, T, C] whitened: noise alone gives standard deviation one."""
         z = torch.nan_to_num(difference.double(), nan=1e6, posinf=1e6, neginf=-1e6) * self._scale
         return z if self.colour is None else self.colour.whiten(z, z.new_ones(len(z)))
 
-    def residual(self, rows: Rows) -> torch.Tensor:
+    def residual(self, batch: Batch) -> torch.Tensor:
         """Return whitened measured minus simulated, [S, R, T, C], recordings weighted."""
-        out = self.whiten(self.measured - self.simulate(self.values(rows), rows.start))
-        return out * rows.weight[:, :, None, None]
+        out = self.whiten(self.measured - self.simulate(self.values(batch), batch.start))
+        return out * batch.weight[:, :, None, None]
 
     def linearise(
-        self, rows: Rows, steps: torch.Tensor | None = None
+        self, batch: Batch, steps: torch.Tensor | None = None
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return residuals [S, R, T, C], derivatives of the whitened simulation and what they are taken by.
+        """Return residuals [S, R, T, C], derivatives of the whitened simulation, and their parameters.
 
         Args:
-            rows: The models.
-            steps: Of every row's derivatives, shape [S]; STEP for all if not given.
+            batch: The models.
+            steps: Finite-difference step of each model, shape [S]; STEP for all if not given.
 
-        Derivatives have the shape [S, p, R, T, C], p the largest number of free entries of a row (parameters, then
-        start states, which act on their own recording); entries past a row's own are zero. The third result holds
-        the columns of the parameters, shape [S, q], -1 past a row's own.
+        Derivatives have the shape [S, p, R, T, C], with p the largest number of free entries of a model (parameters,
+        then start states, each of which acts on its own recording); unused entries are zero. The third result holds
+        the parameter index of each derivative, shape [S, q], -1 where unused.
         """
-        count, local = len(rows), self.start0[0].numel()
         if steps is None:
-            steps = rows.free.new_full((count,), STEP)
-        most = int(rows.active.sum(1).max())
-        order = torch.argsort(rows.active.to(torch.int8), dim=1, descending=True, stable=True)[:, :most]
-        columns = torch.where(torch.gather(rows.active, 1, order), order, -1)
+            steps = batch.free.new_full((len(batch),), STEP)
+        columns = _active_columns(batch)
         who, which = torch.nonzero(columns >= 0, as_tuple=True)
-        moved = rows[who]
-        at = (torch.arange(len(who), device=self.place), columns[who, which])
-        # inwards from the upper end of the box, so that no effect is tried beyond it
-        step = steps[who] * self.reach[at[1]]
-        step = torch.where(moved.free[at] + step > self.high[at[1]], -step, step)
-        moved.free[at] += step
-        values, start = [self.values(rows), self.values(moved)], [rows.start, moved.start]
+        moved, step = self._moved(batch, who, columns[who, which], steps)
         apart = steps * self.start_scale
-        for k in range(local):
-            shifted = rows.start.clone().flatten(2)
-            shifted[:, :, k] += apart[:, None]
-            values.append(values[0])
-            start.append(shifted.view_as(rows.start))
-        out = self.simulate(torch.cat(values), torch.cat(start))
-        base, at_parameters = out[:count], out[count : count + len(who)]
-        weight = rows.weight[:, :, None, None]
-        derivative = base.new_zeros(count, most + local * len(self.recordings), *base.shape[1:], dtype=torch.float64)
+        shifted = self._shifted_starts(batch, apart)
+        own = self.values(batch)
+        values = torch.cat([own, self.values(moved), *[own] * len(shifted)])
+        out = self.simulate(values, torch.cat([batch.start, moved.start, *shifted]))
+        base, at_parameters, at_starts = out.split([len(batch), len(who), len(shifted) * len(batch)])
+        weight, most, local = batch.weight[:, :, None, None], columns.shape[1], len(shifted)
+        shape = (len(batch), most + local * len(self.recordings), *base.shape[1:])
+        derivative = base.new_zeros(*shape, dtype=torch.float64)
         change = self.whiten(at_parameters - base[who]) / step[:, None, None, None]
         derivative[who, which] = change * weight[who]
-        for k in range(local):
-            at_start = out[count + len(who) + k * count :][:count]
+        for k, at_start in enumerate(at_starts.split(len(batch)) if local else ()):
             change = self.whiten(at_start - base) * weight / apart[:, None, None, None]
             for j in range(len(self.recordings)):
                 derivative[:, most + j * local + k, j] = change[:, j]
         return self.whiten(self.measured - base) * weight, derivative, columns
+
+    def _moved(
+        self, batch: Batch, who: torch.Tensor, column: torch.Tensor, steps: torch.Tensor
+    ) -> tuple[Batch, torch.Tensor]:
+        """Return the models ``who`` with one parameter moved each, and by how much.
+
+        Steps at the upper end of the box go inwards, so that no effect is tried beyond it.
+        """
+        moved, at = batch[who], (torch.arange(len(who), device=self.place), column)
+        step = steps[who] * self.reach[column]
+        step = torch.where(moved.free[at] + step > self.high[column], -step, step)
+        moved.free[at] += step
+        return moved, step
+
+    def _shifted_starts(self, batch: Batch, apart: torch.Tensor) -> list[torch.Tensor]:
+        """Return the start states with one entry moved in all recordings, one tensor [S, R, J, 2] per entry."""
+        out = []
+        for k in range(self.start0[0].numel()):
+            shifted = batch.start.clone().flatten(2)
+            shifted[:, :, k] += apart[:, None]
+            out.append(shifted.view_as(batch.start))
+        return out
+
+
+def _active_columns(batch: Batch) -> torch.Tensor:
+    """Return the indices of each model's active parameters in order, -1 where there are fewer, [S, q]."""
+    most = int(batch.active.sum(1).max())
+    order = torch.argsort(batch.active.to(torch.int8), dim=1, descending=True, stable=True)[:, :most]
+    return torch.where(torch.gather(batch.active, 1, order), order, -1)
 
 
 def _padded(values: torch.Tensor, size: int) -> torch.Tensor:
     return torch.cat([values, values[-1:].expand(size - len(values), *values.shape[1:])])
 
 
-def prior_of(contest: Contest, rows: Rows) -> torch.Tensor:
-    """Return twice the negative log prior of every row's active parameters, times the overdispersion, [S]."""
-    z = (rows.free - contest.centre) / contest.spread
-    return contest.overdispersion * torch.where(rows.active, z**2, 0.0).sum(1)
+def prior_of(contest: Contest, batch: Batch) -> torch.Tensor:
+    """Return minus twice the log prior of each model's active parameters, times the overdispersion, [S]."""
+    z = (batch.free - contest.centre) / contest.spread
+    return contest.overdispersion * torch.where(batch.active, z**2, 0.0).sum(1)
 
 
-def active_rows(contest: Contest, rows: Rows, chosen: Sequence[Sequence[int]]) -> Rows:
-    """Return rows in which the candidates ``chosen[s]`` are active beside what already is."""
-    out = rows.copy()
+def activated(contest: Contest, batch: Batch, chosen: Sequence[Sequence[int]]) -> Batch:
+    """Return a copy of a batch with the candidates ``chosen[s]`` activated in model s."""
+    out = batch.copy()
     for s, members in enumerate(chosen):
         for c in members:
             out.active[s, list(contest.candidates[c].columns)] = True

@@ -1,4 +1,4 @@
-"""Candidates for what a model lacks: which effects may act where, and the values from which a search sets out."""
+"""Candidate effects: which effects may act where, and the parameter values at which they are tested."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from typing import Literal
 
 import numpy as np
 
-from ...sim.base.errors import InputError
-from ...sim.effects import Effect, EffectParameter, Setting, effect_of, effects
-from ..cases.case import BranchCase, JointCase
-from ..replay.equation_error import fits_torque
-from ..systems.acting import Acting
-from ..systems.system import Parameter
+from ....sim.base.errors import InputError
+from ....sim.effects import Effect, EffectParameter, Setting, effect_of, effects
+from ...cases.case import BranchCase, JointCase
+from ...replay.equation_error import fits_torque
+from ...systems.acting import Acting
+from ...systems.system import Parameter
 
-#: Largest factor by which a difference that was simulated at one strength is extrapolated to another.
+#: Largest factor by which a simulated response is extrapolated to another strength.
 FURTHEST = 4.0
-#: Values of a parameter that are looked at where the registry does not say.
+#: Number of grid values of a parameter where the registry does not say.
 TRIES = 3
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect at one place of a superset of effects.
+    """A candidate effect: one effect at one place.
 
     Attributes:
         acting: Which effect and where.
-        columns: Columns of its parameters among all parameters of the superset.
-        specs: Their rows in the registry.
+        columns: Indices of its parameters among all parameters.
+        specs: Their entries in the registry.
     """
 
     acting: Acting
@@ -44,13 +44,13 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Probe:
-    """A point of a candidate's parameters from which its response is looked at.
+    """A parameter point at which a candidate is tested.
 
     Attributes:
         candidate: Index of the candidate.
-        values: Values in SI units, one a parameter.
-        moved: Entries that are moved one by one, so that the response is linear in them about ``values``; empty where
-            the effect at ``values`` is itself the response.
+        values: Values in SI units, one per parameter.
+        moved: Entries that are moved one by one, giving a linear response about ``values``; empty where the effect at
+            ``values`` is itself the response.
     """
 
     candidate: int
@@ -59,7 +59,7 @@ class Probe:
 
 
 def names_for(case: BranchCase | JointCase, wanted: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the names of effects that a case can be tried with, all of them or those that are wanted.
+    """Return the names of the effects that can be tested on a case: all, or those that are wanted.
 
     Raises:
         InputError: A wanted name is unknown or cannot act in such a case.
@@ -94,11 +94,11 @@ def everywhere(case: BranchCase | JointCase, names: Iterable[str]) -> tuple[Acti
 
 
 def probes_of(index: int, candidate: Candidate, parameters: Sequence[Parameter], setting: Setting) -> list[Probe]:
-    """Return the points at which a candidate is looked at.
+    """Return the points at which a candidate is tested.
 
-    An effect whose first parameter passes through its neutral value is moved about it, in all parameters that do;
-    otherwise the effect itself is looked at. Of the other parameters a grid is taken. None for an effect with a
-    frequency: `frequencies` finds it.
+    An effect whose first parameter passes through its neutral value is linearised about it, in all such parameters;
+    otherwise the effect itself is simulated. The other parameters take the values of a grid. Empty for effects with a
+    frequency, for which see `frequencies`.
     """
     if any(s.unit == "Hz" for s in candidate.specs):
         return []
@@ -112,12 +112,12 @@ def probes_of(index: int, candidate: Candidate, parameters: Sequence[Parameter],
 
 
 def passes_neutral(spec: EffectParameter, parameter: Parameter) -> bool:
-    """Return whether a search moves a parameter a little above and a little below its neutral value."""
+    """Return whether a parameter can lie on both sides of its neutral value."""
     return spec.tries is None and parameter.low < spec.neutral < parameter.high
 
 
 def grid(spec: EffectParameter, parameter: Parameter, setting: Setting) -> list[float]:
-    """Return the values that the registry names, or ``tries`` inside a parameter's box, evenly on its scale."""
+    """Return the registry's grid values, or ``tries`` values inside a parameter's box, evenly on its scale."""
     if callable(spec.tries):
         return [float(x) for x in spec.tries(setting)]
     count = spec.tries or TRIES

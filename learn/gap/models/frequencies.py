@@ -1,10 +1,10 @@
-"""Where to look for an oscillating load: frequencies at which a horizontal force would explain the residual.
+"""Candidate frequencies of an oscillating load: those at which a horizontal force would explain the residual.
 
-A gust is coherent on the absolute clock over all recordings, so that its frequency is known to a fraction of the
-inverse of the whole session, far too finely to simulate each. The branch answers a force at the grasp point nearly
-linearly: one pulse a recording and axis gives the response to any force by convolution. Frequencies that a single
-recording can tell apart are tried first, each recording with a phase of its own; about the best of them all that the
-session can tell apart.
+A gust is coherent on the absolute clock over all recordings, so its frequency is resolved to a fraction of the inverse
+of the whole session: too many frequencies to simulate one by one. The branch responds almost linearly to a force at the
+grasp point, so one pulse per recording and axis gives the response to any force by convolution. The search is coarse to
+fine: first the frequencies that one recording resolves, with a free phase per recording; then, about the best of them,
+those that the whole session resolves.
 """
 
 from __future__ import annotations
@@ -15,23 +15,24 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from ..cases.case import BranchCase
-from ..replay.recording import Recording
-from ..replay.rollout import Rollout
+from ...cases.case import BranchCase
+from ...replay.recording import Recording
+from ...replay.rollout import Rollout
 from .candidates import Candidate, Probe
 from .contest import Contest
 from .scan import Basis
 
-#: Frequencies that are looked at more closely, and those that are simulated.
+#: Coarse frequencies that are refined, and fine ones that are simulated.
 COARSE, FINE = 3, 3
 #: Size of the pulse, as a share of the largest force.
 PULSE = 0.1
 
 
 def frequency_probes(contest: Contest, basis: Basis, without: Sequence[int] = ()) -> tuple[list[Probe], int]:
-    """Return probes at the likeliest frequencies of the candidates that oscillate, but some, and how many it compared.
+    """Return probes at the best frequencies of the oscillating candidates, and how many frequencies were compared.
 
-    Effects that the model has already are left out of the response: a frequency is told by its phase over the session.
+    Candidates in ``without`` are skipped. Effects that the model has already are left out of the response, because the
+    frequency is determined by its phase over the session.
     """
     oscillate = [(i, c) for i, c in enumerate(contest.candidates) if any(s.unit == "Hz" for s in c.specs)]
     own = [(i, c) for i, c in oscillate if i not in without]
@@ -58,7 +59,7 @@ def _pulse_response(contest: Contest, basis: Basis) -> torch.Tensor:
     case = contest.case
     size = PULSE * max(float(np.abs(r.input).max()) for r in contest.recordings)
     pulsed = [*contest.recordings, *(_pulsed(r, a, size) for a in (0, 1) for r in contest.recordings)]
-    values = contest.values(basis.fit.rows)[:, : contest.num_base]
+    values = contest.values(basis.fit.batch)[:, : contest.num_base]
     out = Rollout(case, pulsed, 1, device=contest.device)(values)[0].double()
     plain, x, y = out.chunk(3)
     return torch.stack([x - plain, y - plain]) / size
@@ -73,14 +74,16 @@ def _pulsed(r: Recording, axis: int, size: float) -> Recording:
 def _likeliest(
     contest: Contest, basis: Basis, response: torch.Tensor, ends: tuple[float, float]
 ) -> tuple[list[float], int]:
+    """Return the frequencies between two ends that explain most of the residual, and how many were compared."""
     t = torch.as_tensor(contest.recordings[0].t, device=contest.place)
     span = contest.recordings[-1].t_start + float(t[-1]) - contest.recordings[0].t_start
     coarse = np.arange(ends[0], ends[1], 0.3 / float(t[-1]))
-    alone = _gains(contest, basis, response, coarse, together=False)
+    left = basis.free_of(basis.residual[None])[0]
+    alone = np.nan_to_num([_gain_apart(left, contest.whiten(_waves(contest, response, f))) for f in coarse])
     top = coarse[_separate(alone, COARSE)]
     near = np.arange(-0.15 / float(t[-1]), 0.15 / float(t[-1]), 0.25 / span)
     fine = (top[:, None] + near).ravel()
-    gains = _gains(contest, basis, response, fine, together=True)
+    gains = np.nan_to_num([_gain_together(basis, left, contest.whiten(_waves(contest, response, f))) for f in fine])
     return [float(fine[k]) for k in np.argsort(-gains)[:FINE]], len(coarse) + len(fine)
 
 
@@ -95,27 +98,21 @@ def _separate(gain: np.ndarray, count: int) -> list[int]:
     return out
 
 
-def _gains(
-    contest: Contest, basis: Basis, response: torch.Tensor, frequency: np.ndarray, *, together: bool
-) -> np.ndarray:
-    """Squares of the residual that a force of each frequency explains, of one phase or of one in every recording."""
-    out = []
-    left = basis.free_of(basis.residual[None])[0]
-    per_recording = left.view(len(contest.recordings), -1)
-    for f in frequency:
-        waves = contest.whiten(_waves(contest, response, float(f))).flatten(1)
-        if together:
-            own = basis.free_of(waves)
-            pull = own @ left
-            out.append(float(pull @ torch.linalg.lstsq(own @ own.T, pull[:, None]).solution[:, 0]))
-            continue
-        own = waves.view(len(waves), len(contest.recordings), -1).transpose(0, 1)
-        pull = (own @ per_recording[..., None])[..., 0]
-        normal = own @ own.transpose(1, 2)
-        ridge = 1e-9 * normal.diagonal(dim1=1, dim2=2).amax(1).clamp(min=1e-12)
-        normal = normal + ridge[:, None, None] * torch.eye(len(waves), dtype=own.dtype, device=own.device)
-        out.append(float((pull * torch.linalg.solve(normal, pull[..., None])[..., 0]).sum()))
-    return np.nan_to_num(np.array(out))
+def _gain_together(basis: Basis, left: torch.Tensor, waves: torch.Tensor) -> float:
+    """Gain for a residual [N] of a force with one phase in all recordings; ``waves`` [4, R, T, C]."""
+    own = basis.free_of(waves.flatten(1))
+    pull = own @ left
+    return float(pull @ torch.linalg.lstsq(own @ own.T, pull[:, None]).solution[:, 0])
+
+
+def _gain_apart(left: torch.Tensor, waves: torch.Tensor) -> float:
+    """Gain for a residual [N] of a force with its own phase in each recording; ``waves`` [4, R, T, C]."""
+    own = waves.flatten(2).transpose(0, 1)
+    pull = (own @ left.view(len(own), -1)[..., None])[..., 0]
+    normal = own @ own.transpose(1, 2)
+    ridge = 1e-9 * normal.diagonal(dim1=1, dim2=2).amax(1).clamp(min=1e-12)
+    normal = normal + ridge[:, None, None] * torch.eye(own.shape[1], dtype=own.dtype, device=own.device)
+    return float((pull * torch.linalg.solve(normal, pull[..., None])[..., 0]).sum())
 
 
 def _waves(contest: Contest, response: torch.Tensor, frequency: float) -> torch.Tensor:

@@ -1,0 +1,172 @@
+"""Levels of the search, one more effect each: start points, joint fits, successive halving.
+
+Every candidate is fitted jointly with the base parameters, since both explain parts of the same residual. The scan
+gives the start points of the fits and ranks the candidates; successive halving then continues the better ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import torch
+
+from .contest import Batch, Contest
+from .fitted import Model, penalty
+from .frequencies import frequency_probes
+from .refit import Fits, evaluated, fit
+from .scan import Basis, Scan, all_probes, score_probes, start_batch
+
+#: Candidates that start beside a model and that continue after each round; and the most iterations of each round. The
+#: last round is long enough to converge: a law of three parameters stopped early would lose to one of two.
+KEPT = (14, 10, 5)
+ITERATIONS = (4, 4, 24)
+#: Fits of one candidate kept after the first and second round: the early leader may be in a local minimum.
+SIDES = (3, 2)
+#: Start points simulated per candidate, each with the base as fitted and corrected for the effect. A fit starts from
+#: the best of them; the first few candidates start from several, because rotating axes have local minima.
+STARTS, WIDELY = 4, 6
+#: Leading models to which a further effect is added.
+LEADERS = 3
+
+Progress = Callable[[str, int], None]
+
+
+def scan_candidates(
+    contest: Contest, fits: Fits, nulls: torch.Tensor | None = None, without: Sequence[int] = ()
+) -> tuple[Basis, Scan]:
+    """Scan all candidates beside a fitted model; ``nulls`` [V, N] are further residuals to be explained."""
+    basis = Basis(contest, fits)
+    oscillating, compared = frequency_probes(contest, basis, without)
+    probes = [*all_probes(contest, without), *oscillating]
+    residuals = basis.residual[None] if nulls is None else torch.cat([basis.residual[None], nulls])
+    scan = score_probes(contest, basis, probes, residuals)
+    return basis, replace(scan, compared=[1] * (len(probes) - len(oscillating)) + [compared] * len(oscillating))
+
+
+def first_level(contest: Contest, basis: Basis, scan: Scan, progress: Progress) -> list[Model]:
+    """Fit every candidate beside the base; return the models, best first."""
+    return _halved(contest, *_started(contest, [(basis, scan, ())], every=True), progress)
+
+
+def next_level(contest: Contest, leaders: Sequence[Model], progress: Progress) -> list[Model]:
+    """Fit the candidates that the scan favours beside each of the leading models; return the models, best first."""
+    scans = []
+    for model in leaders:
+        basis, scan = scan_candidates(contest, model.fit, without=model.members)
+        scans.append((basis, scan, model.members))
+        progress("scan", 1)
+    return _halved(contest, *_started(contest, scans, every=False), progress)
+
+
+def reduced(contest: Contest, models: Sequence[Model]) -> list[Model]:
+    """Return models with one of their effects removed, refitted from their present parameters.
+
+    An effect that fails from the base may succeed from a model whose other parameters are already near.
+    """
+    batches, members = [], []
+    for model in models:
+        for c in model.members:
+            own = model.fit.batch.copy()
+            own.active[:, list(contest.candidates[c].columns)] = False
+            batches.append(own)
+            members.append(tuple(m for m in model.members if m != c))
+    fits = fit(contest, Batch.joined(batches), ITERATIONS[-1])
+    return [Model(m, fits.one(s), True) for s, m in enumerate(members)]
+
+
+def moved(contest: Contest, models: Sequence[Model]) -> list[Model]:
+    """Return models with one effect moved to another joint, refitted from their present parameters.
+
+    The base parameters absorb an effect at its own joint more than at the next one, which can hide it there.
+    """
+    batches, members = [], []
+    for model in models:
+        for c in model.members:
+            for other in _same_law(contest, c, model.members):
+                own = model.fit.batch.copy()
+                old, new = (list(contest.candidates[k].columns) for k in (c, other))
+                own.active[:, old], own.active[:, new] = False, True
+                own.free[:, new] = torch.maximum(
+                    torch.minimum(model.fit.batch.free[:, old], contest.high[new]), contest.low[new]
+                )
+                batches.append(own)
+                members.append(tuple(sorted((set(model.members) - {c}) | {other})))
+    if not batches:
+        return []
+    fits = fit(contest, Batch.joined(batches), sum(ITERATIONS[1:]))
+    return [Model(m, fits.one(s), True) for s, m in enumerate(members)]
+
+
+def _same_law(contest: Contest, candidate: int, members: Sequence[int]) -> list[int]:
+    """Return the candidates with a candidate's law at other joints that a model has not got."""
+    name = contest.candidates[candidate].name
+    return [k for k, c in enumerate(contest.candidates) if c.name == name and k != candidate and k not in members]
+
+
+def _started(
+    contest: Contest, scans: Sequence[tuple[Basis, Scan, tuple[int, ...]]], *, every: bool
+) -> tuple[Batch, list[tuple[int, ...]]]:
+    """Return the start points of the most promising candidates, from their best probes, and their members.
+
+    With ``every`` all candidates start. A base fit biased by an effect can hide that effect from the scan and trap its
+    fits in a local minimum; they therefore also start from the base at its typical values.
+    """
+    promised = _promised(contest, scans)
+    keys = sorted(promised, key=lambda key: promised[key][0])[: None if every else KEPT[0]]
+    starts = [_starts(contest, *scans[promised[key][1]][:2], promised[key][2]) for key in keys]
+    cost = evaluated(contest, Batch.joined(starts)).cost.split([len(s) for s in starts])
+    batches: list[Batch] = []
+    members: list[tuple[int, ...]] = []
+    for n, (key, own, misfit) in enumerate(zip(keys, starts, cost, strict=True)):
+        batches.append(own[misfit.argsort()[: STARTS if n < WIDELY else 1]])
+        if every or n < KEPT[0]:
+            batches.append(own[slice(0, 1)])
+            batches[-1].free[:, : contest.num_base] = contest.centre[: contest.num_base]
+        members += [key] * (sum(map(len, batches)) - len(members))
+    return Batch.joined(batches), members
+
+
+def _promised(
+    contest: Contest, scans: Sequence[tuple[Basis, Scan, tuple[int, ...]]]
+) -> dict[tuple[int, ...], tuple[float, int, int]]:
+    """Return by members the lowest predicted cost, which scan predicted it, and the candidate it adds."""
+    out: dict[tuple[int, ...], tuple[float, int, int]] = {}
+    for n, (basis, scan, beside) in enumerate(scans):
+        for c in {p.candidate for p in scan.probes}:
+            k = scan.best(c, 1)[0]
+            misfit = float(basis.fit.cost[0]) - float(scan.gain[0, k]) + penalty(contest, [c])
+            key = tuple(sorted((*beside, c)))
+            if key not in out or misfit < out[key][0]:
+                out[key] = (misfit, n, c)
+    return out
+
+
+def _starts(contest: Contest, basis: Basis, scan: Scan, candidate: int) -> Batch:
+    """Return the start points of a candidate from its most promising probes."""
+    return start_batch(contest, basis, scan, scan.best(candidate, STARTS))
+
+
+def refitted(contest: Contest, models: Sequence[Model], iterations: int) -> list[Model]:
+    """Return models refitted after the noise model has changed, best first."""
+    fits = fit(contest, Batch.joined([m.fit.batch for m in models]), iterations)
+    out = [Model(m.members, fits.one(s), m.settled) for s, m in enumerate(models)]
+    return sorted(out, key=lambda m: m.cost + penalty(contest, m.members))
+
+
+def _halved(contest: Contest, batch: Batch, members: list[tuple[int, ...]], progress: Progress) -> list[Model]:
+    """Fit in rounds by successive halving; return all models, best first."""
+    done: dict[tuple[int, ...], Model] = {}
+    for round_, iterations in enumerate(ITERATIONS):
+        fits = fit(contest, batch, iterations, lambda n: progress("fits", n))
+        sides: dict[tuple[int, ...], list[Model]] = {key: [] for key in members}
+        for s in torch.argsort(fits.cost).tolist():
+            sides[members[s]].append(Model(members[s], fits.one(s)))
+        done |= {key: min([*own, done.get(key, own[0])], key=lambda m: m.cost) for key, own in sides.items()}
+        ranked = sorted(done, key=lambda key: done[key].cost + penalty(contest, key))
+        if round_ < len(SIDES):
+            ahead = [m for key in ranked[: KEPT[round_ + 1]] for m in sides.get(key, [done[key]])[: SIDES[round_]]]
+            batch, members = Batch.joined([m.fit.batch for m in ahead]), [m.members for m in ahead]
+    for key in members:
+        done[key].settled = True
+    return [done[key] for key in ranked]

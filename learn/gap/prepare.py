@@ -1,0 +1,165 @@
+"""From a case to a contest: noise of the channels, fit of the base model, nuisance columns of bending wood."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+
+from ...sim.base.types import Array
+from ..cases.case import BranchCase, JointCase
+from ..inference.fit import find_modes
+from ..inference.identify import force_noise, pooled_sigma
+from ..inference.posterior import initial_vectors
+from ..inference.target import Target
+from ..replay.equation_error import noise_of, recordings_of, thinned
+from ..replay.input_noise import input_colour
+from ..replay.rollout import Rollout
+from .models.at_rest import Noise, noise_at_rest
+from .models.candidates import names_for
+from .models.contest import Batch, Contest
+from .models.fitted import overdispersion
+from .models.refit import Fits, evaluated, fit
+from .run import Run
+from .usable import nothing_moves, too_few, too_noisy
+
+#: Links per segment in the finer branch that shows the bending of wood inside segments.
+PIECES = 3
+#: Bend of the wood inside a segment relative to that of its joint under the same torque: mean and standard deviation of
+#: its prior, and finite-difference step of its response.
+WOOD, WOOD_SPREAD, WOOD_STEP = 0.05, 0.03, 0.06
+#: Starts of the base fit.
+STARTS = 8
+
+
+@dataclass
+class Base:
+    """A case prepared for the search.
+
+    Attributes:
+        contest: What simulates and fits its models.
+        fit: The base model's fit, a batch of one.
+        noise: Noise of the channels.
+        force_sigma: Noise of a branch's force [N], shape [3], or None.
+        motion: Rms of all measured channels in units of their noise.
+        unusable: Why the data cannot support a verdict, with the missing probe; None where they can.
+    """
+
+    contest: Contest
+    fit: Fits
+    noise: Noise
+    force_sigma: Array | None
+    motion: float = field(init=False)
+    unusable: str | None = None
+
+    def __post_init__(self) -> None:
+        """Measure the motion."""
+        contest = self.contest
+        used = contest.sigma > 0.0
+        self.motion = float(((contest.measured[..., used] / contest.sigma[used]) ** 2).mean().sqrt())
+
+
+def prepare(case: BranchCase | JointCase, run: Run) -> Base:
+    """Return the contest of a case with its noise and fitted base model, and whether the data can support a verdict."""
+    with run.timed("base"):
+        names, resting = names_for(case, run.settings.effects), nothing_moves(case)
+        base = _typical(case, names) if resting else _fitted(case, names, run.settings.seed)
+        base.unusable = resting or too_few(case) or too_noisy(base.motion)
+        run.progress("base", 1)
+    return base
+
+
+def _typical(case: BranchCase | JointCase, names: Sequence[str]) -> Base:
+    """Return a case with the base model at typical values, not fitted."""
+    noise = noise_of(case)
+    sigma, force_sigma = pooled_sigma(case, noise), force_noise(case, noise)
+    weights = np.where(sigma > 0.0, sigma, 1.0)  # all-zero channels have no noise
+    contest = Contest(case, [thinned(case, r) for r in recordings_of(case)], weights, names)
+    return Base(contest, evaluated(contest, contest.base_batch(1)), Noise(sigma), force_sigma)
+
+
+def _fitted(case: BranchCase | JointCase, names: Sequence[str], seed: int) -> Base:
+    """Return a case with the base model fitted under the full noise model."""
+    noise = noise_of(case)
+    sigma, force_sigma = pooled_sigma(case, noise), force_noise(case, noise)
+    contest = Contest(case, [thinned(case, r) for r in recordings_of(case)], sigma, names)
+    fits = fit(contest, _best_mode(contest, seed), 3)
+    seen = noise_at_rest(contest, fits.batch)
+    if seen.spectrum:
+        contest.set_noise(seen.sigma)
+        fits = fit(contest, fits.batch, 3)
+    if isinstance(case, BranchCase) and force_sigma is not None:
+        colour(contest, fits.batch, force_sigma)
+        add_wood(contest, fits.batch)
+        fits = fit(contest, fits.batch, 3)
+        contest.overdispersion = overdispersion(contest, float(fits.chi2[0]))
+        fits = fit(contest, fits.batch, 4)
+    return Base(contest, fits, seen, force_sigma)
+
+
+def _best_mode(contest: Contest, seed: int) -> Batch:
+    """Return the base model at the highest mode of its posterior, a batch of one."""
+    target = Target(contest.case, contest.recordings, contest.sigma.cpu())
+    modes = find_modes(target, initial_vectors(target, STARTS, torch.Generator().manual_seed(seed)))
+    u, start, _ = target.split(modes.theta[modes.log_posterior.argmax()][None])
+    model = contest.base_batch(1)
+    model.free[:, : contest.num_base] = u
+    return Batch(model.free, model.active, start, model.weight)
+
+
+def colour(contest: Contest, model: Batch, force_sigma: Array) -> None:
+    """Set the correlation of the residuals by noise of the force, linearised about a model."""
+    if float(force_sigma.max()) <= 0.0:
+        return
+    assert isinstance(contest.case, BranchCase)
+    values = contest.values(model)[0, : contest.num_base]
+    contest.colour = input_colour(contest.case, contest.recordings, values, force_sigma, contest.sigma)
+
+
+def add_wood(contest: Contest, model: Batch) -> None:
+    """Set the nuisance columns of wood that bends inside each segment, linearised about a model."""
+    case = contest.case
+    assert isinstance(case, BranchCase)
+    spring, damper = contest.values(model)[0, : contest.num_base].chunk(2)
+    bends = WOOD * np.ones((case.num_segments + 1, case.num_segments))
+    for i in range(case.num_segments):
+        bends[i + 1, i] += WOOD_STEP
+    out = _on_pieces(contest, case, spring, damper, bends)
+    middle = contest.whiten(out[:1])
+    columns = (contest.whiten(out[1:]) - middle) / WOOD_STEP
+    contest.nuisance = columns.flatten(1)
+    contest.nuisance_mean = torch.full_like(columns[:, 0, 0, 0], WOOD)
+    contest.nuisance_spread = torch.full_like(columns[:, 0, 0, 0], WOOD_SPREAD)
+
+
+def _on_pieces(
+    contest: Contest, case: BranchCase, spring: torch.Tensor, damper: torch.Tensor, bends: Array
+) -> torch.Tensor:
+    """Simulate the finer branch for inside bends [S, segments]; return channels [S, R, T, C]."""
+    fine = in_pieces(case)
+    piece = case.length[case.grasp_segment] / PIECES
+    k = min(int(case.grasp_distance / piece), PIECES - 1)
+    held = (PIECES * case.grasp_segment + k, np.array([0.0, 0.0, case.grasp_distance - k * piece]))
+    recordings = [replace(r, grasp=held) for r in contest.recordings]
+    inside = np.arange(fine.num_segments) % PIECES > 0
+    share = np.where(inside, (PIECES - 1) / np.repeat(bends, PIECES, axis=1), 1.0)
+    factor = torch.as_tensor(share, device=contest.place)
+    rollout = Rollout(fine, recordings, len(bends), device=contest.device)
+    values = [x.repeat_interleave(PIECES) * factor for x in (spring, damper)]
+    return rollout(torch.cat(values, 1)).double()
+
+
+def in_pieces(case: BranchCase) -> BranchCase:
+    """Return a branch case with every segment cut into pieces of equal length."""
+    share = np.linspace(0.0, 1.0, PIECES + 1)
+    radius = case.radius[:, :1] + (case.radius[:, 1:] - case.radius[:, :1]) * share
+    ends = np.stack([radius[:, :-1], radius[:, 1:]], -1)
+    area = (ends**2).sum(-1) + ends.prod(-1)
+    mass = case.mass[:, None] * area / area.sum(1, keepdims=True)
+    names = tuple(f"{n} {k + 1}" for n in case.segment_name for k in range(PIECES))
+    return replace(
+        case, segment_name=names, length=np.repeat(case.length / PIECES, PIECES), radius=ends.reshape(-1, 2),
+        elevation=np.repeat(case.elevation, PIECES), azimuth=np.repeat(case.azimuth, PIECES), mass=mass.ravel(),
+    )  # fmt: skip
