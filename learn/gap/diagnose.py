@@ -62,15 +62,17 @@ def check(case: BranchCase | JointCase, settings: Settings) -> None:
 
 
 def diagnose(
-    given: BranchCase | JointCase | str | Path, out: str | Path, settings: Settings, *, resume: bool = False,
-    progress: Progress = silent,
+    given: BranchCase | JointCase | str | Path, out: str | Path, settings: Settings | None = None, *,
+    resume: bool = False, progress: Progress = silent,
 ) -> Diagnosis:  # fmt: skip
     """Diagnose a case, as loaded or by its folder, and write verdict, repaired model, figures and report into ``out``.
+
+    Without ``settings`` those of ``bough diagnose`` without options are taken.
 
     Raises:
         InputError: The case or the settings cannot be used; nothing is written then.
     """
-    target = Path(out)
+    target, settings = Path(out), settings or Settings()
     with output_folder(target) as work:
         case = given if isinstance(given, BranchCase | JointCase) else load_case(given)
         check(case, settings)
