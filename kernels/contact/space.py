@@ -39,7 +39,7 @@ from ..lanes.algebra import (
     transposed_mul,
     vec3_of,
 )
-from ..lanes.real import fma, lane, real
+from ..lanes.real import REAL_OF_WIDTH, fma, lane, real
 from ..tree.articulated import (
     FIXED,
     PRISMATIC,
@@ -355,11 +355,32 @@ def set_out_contacts(
 
 
 # ---- one world: the solve --------------------------------------------------------------------------------------------
+#
+# Sizes come from types, not from arguments: they are constants then before anything is inlined. With arguments the step
+# of one world a thread took 9 % longer.
 
 
 @wp.func(inline=True)
-def note_response(row: int, n: int, turns: int, width: int, J: Any, Y: Any, v: Any, p: Any):
+def lanes_of(x: wp.float32):
+    return 1
+
+
+for _W in (8, 16):
+    Lanes = REAL_OF_WIDTH[_W]
+
+    @wp.func(inline=True)
+    def lanes_of(x: Lanes):
+        """How many worlds a real holds."""
+        return len(x.v)
+
+
+del Lanes
+
+
+@wp.func(inline=True)
+def note_response(row: int, n: int, turns: int, J: Any, Y: Any, v: Any, p: Any):
     """Write down what the arm yields at contact n, and how fast the contact is without any force: v0 + J v."""
+    width = lanes_of(p.velocity[row, 0])
     free = p.frame[row, n] * p.still[row, n]
     for axis in range(3):
         d = 3 * n + axis
@@ -371,8 +392,9 @@ def note_response(row: int, n: int, turns: int, width: int, J: Any, Y: Any, v: A
 
 
 @wp.func(inline=True)
-def summed(row: int, count: int, turns: int, width: int, p: Any, like: Any):
+def summed(row: int, count: int, turns: int, p: Any, like: Any):
     """sum_j Y_j f_j, of the type of ``like``."""
+    width = lanes_of(p.velocity[row, 0])
     z = type(like)()
     for n in range(count):
         f = p.force[row, n]
@@ -384,8 +406,9 @@ def summed(row: int, count: int, turns: int, width: int, p: Any, like: Any):
 
 
 @wp.func(inline=True)
-def add_arm(row: int, count: int, turns: int, width: int, dof: int, p: Any, h: float):
-    """h (C_branches + Y^T Y), and v of the present forces."""
+def add_arm(row: int, count: int, turns: int, p: Any, like: Any, h: float):
+    """h (C_branches + Y^T Y), and v of the present forces; ``like`` is a row of the arm's size."""
+    width = lanes_of(p.velocity[row, 0])
     for q in range(turns):
         p.velocity[row, q] = p.free[row, q]
     for n in range(count):
@@ -394,7 +417,7 @@ def add_arm(row: int, count: int, turns: int, width: int, dof: int, p: Any, h: f
             d = 3 * n + axis
             for q in range(turns):
                 y = p.branch[row, d * turns + q]
-                for j in range(dof):
+                for j in range(len(like)):
                     one = real(p.arm_entry[row, j * turns + d // width, 0, d % width], y)
                     y = fma(p.arm[row, j * turns + q], one, y)
                 y = y * real(h, y)
@@ -415,8 +438,9 @@ def change_force(row: int, i: int, turns: int, new: wp.vec3, p: Any):
 
 
 @wp.func(inline=True)
-def velocity_of(row: int, i: int, width: int, p: Any) -> wp.vec3:
+def velocity_of(row: int, i: int, p: Any) -> wp.vec3:
     """Velocity of contact i under the present forces."""
+    width = lanes_of(p.velocity[row, 0])
     v = wp.vec3(0.0, 0.0, 0.0)
     for axis in range(3):
         v[axis] = p.velocity_entry[row, (3 * i + axis) // width, 0, (3 * i + axis) % width]
@@ -424,8 +448,9 @@ def velocity_of(row: int, i: int, width: int, p: Any) -> wp.vec3:
 
 
 @wp.func(inline=True)
-def total_of(row: int, i: int, j: int, turns: int, width: int, p: Any) -> wp.mat33:
+def total_of(row: int, i: int, j: int, turns: int, p: Any) -> wp.mat33:
     """What contact i yields to the force of contact j."""
+    width = lanes_of(p.velocity[row, 0])
     C = wp.mat33()
     for b in range(3):
         d = 3 * j + b
@@ -435,15 +460,15 @@ def total_of(row: int, i: int, j: int, turns: int, width: int, p: Any) -> wp.mat
 
 
 @wp.func(inline=True)
-def sweep(row: int, count: int, turns: int, width: int, mu: float, creep: float, p: Any):
+def sweep(row: int, count: int, turns: int, mu: float, creep: float, p: Any):
     """Solve the contacts one after the other; return the greatest change of a force and the greatest force."""
     moved = float(0.0)
     most = float(0.0)
     for i in range(count):
         old = p.force[row, i]
-        v = velocity_of(row, i, width, p)
+        v = velocity_of(row, i, p)
         if old[0] > 0.0 or p.spring[row, i] > p.resist[row, i] * v[0]:
-            own = total_of(row, i, i, turns, width, p)
+            own = total_of(row, i, i, turns, p)
             new, give = grip(v - own * old, own, p.spring[row, i], p.resist[row, i], mu, creep, p.give[row, i])
             p.give[row, i] = give
             change_force(row, i, turns, new, p)
@@ -453,11 +478,11 @@ def sweep(row: int, count: int, turns: int, width: int, mu: float, creep: float,
 
 
 @wp.func(inline=True)
-def assemble(row: int, size: int, turns: int, width: int, mu: float, creep: float, p: Any):
+def assemble(row: int, size: int, turns: int, mu: float, creep: float, p: Any):
     """(1 - F' h C) df = F(v) - f of the contacts that press, F the law and F' its derivative."""
     for a in range(size):
         i = p.pressing[row, a]
-        v = velocity_of(row, i, width, p)
+        v = velocity_of(row, i, p)
         f = p.force[row, i]
         K = p.resist[row, i]
         normal = p.spring[row, i] - K * v[0]
@@ -471,7 +496,7 @@ def assemble(row: int, size: int, turns: int, width: int, mu: float, creep: floa
                       mu * K * t2, 0.0 - d * slip * t1 * t2, d * (1.0 - slip * t2 * t2))  # fmt: skip
         g = wp.vec3(normal, 0.0 - mu * normal * t1, 0.0 - mu * normal * t2) - f
         for b in range(size):
-            A = wp.mat33() - F1 * total_of(row, i, p.pressing[row, b], turns, width, p)
+            A = wp.mat33() - F1 * total_of(row, i, p.pressing[row, b], turns, p)
             if a == b:
                 A = A + wp.identity(n=3, dtype=wp.float32)
             for r in range(3):
@@ -502,7 +527,7 @@ def eliminate(row: int, size: int, p: Any):
 
 
 @wp.func(inline=True)
-def newton(row: int, count: int, turns: int, width: int, mu: float, creep: float, p: Any):
+def newton(row: int, count: int, turns: int, mu: float, creep: float, p: Any):
     """One step of Newton's method for the contacts that press, cut to their cones."""
     size = int(0)
     most = p.pressing.shape[1]
@@ -512,7 +537,7 @@ def newton(row: int, count: int, turns: int, width: int, mu: float, creep: float
                 p.pressing[row, size] = i
             size = size + 1
     if size > 1 and size <= most:
-        assemble(row, size, turns, width, mu, creep, p)
+        assemble(row, size, turns, mu, creep, p)
         eliminate(row, 3 * size, p)
         for a in range(size):
             i = p.pressing[row, a]
@@ -522,10 +547,10 @@ def newton(row: int, count: int, turns: int, width: int, mu: float, creep: float
 
 @wp.func(inline=True)
 def solve_contacts(
-    row: int, count: int, turns: int, width: int, dof: int, mu: float, rule: ContactRule, p: Any, h: float
-) -> int:
+    row: int, count: int, turns: int, mu: float, rule: ContactRule, p: Any, like: Any, h: float
+) -> int:  # fmt: skip
     """Find the forces of all contacts of a world; return whether they were still changing at the end."""
-    add_arm(row, count, turns, width, dof, p, h)
+    add_arm(row, count, turns, p, like, h)
     changed = int(1)
     least = float(1.0e30)
     failed = int(0)
@@ -533,8 +558,8 @@ def solve_contacts(
         if changed == 1:
             leap = wp.where(turn > 0 and failed < FAILURES, 1, 0)
             if leap == 1:
-                newton(row, count, turns, width, mu, rule.creep, p)
-            moved, most = sweep(row, count, turns, width, mu, rule.creep, p)
+                newton(row, count, turns, mu, rule.creep, p)
+            moved, most = sweep(row, count, turns, mu, rule.creep, p)
             if count == 1 or moved <= SETTLED * most + FEEBLE:
                 changed = 0
             if leap == 1 and moved > 0.7 * least:

@@ -83,9 +83,9 @@ def solve_world(w: int, row: int, width: int, a: Any, y: Any, k: Any, rule: Cont
                     c = rule.record[w, n]
                     sign = wp.where(c.link > 0, -1.0, 1.0)
                     J, Y = response(w, k, c.body, c.other, c.point, sign, p.frame[row, n], tall)
-                    note_response(row, n, turns, width, J, Y, v, p)
-                rule.unsettled[w] = solve_contacts(row, count, turns, width, len(v), rule.friction[w], rule, p, h)
-                push_arm(w, k, summed(row, count, turns, width, p, v), h)
+                    note_response(row, n, turns, J, Y, v, p)
+                rule.unsettled[w] = solve_contacts(row, count, turns, rule.friction[w], rule, p, v, h)
+                push_arm(w, k, summed(row, count, turns, p, v), h)
             changed = judge_servos(w, a, y, k, h)
 
 
