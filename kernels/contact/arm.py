@@ -38,7 +38,7 @@ from ..lanes.algebra import (
 )
 from ..lanes.real import real, round_
 
-__all__ = ["arm_functions", "arm_lanes", "arm_types"]
+__all__ = ["Arm", "ArmState", "arm_lanes", "arm_types"]
 
 #: Stiffness [N m/rad] and damping [N m s/rad] of the joints' stops.
 STOP = wp.constant(2.0e4)
@@ -53,53 +53,59 @@ WHOLE_TURN = wp.constant(wp.float64(0.15915494309189535))
 TRIES = wp.constant(8)
 
 
+@wp.struct
+class Arm:
+    """What the arms of all worlds share, [dof] or [capsules]."""
+
+    position: wp.array(dtype=wp.vec3)
+    rotation: wp.array(dtype=wp.quat)
+    axis: wp.array(dtype=wp.vec3)
+    mass: wp.array(dtype=wp.float32)
+    com: wp.array(dtype=wp.vec3)
+    inertia: wp.array(dtype=wp.mat33)
+    armature: wp.array(dtype=wp.float32)
+    damping: wp.array(dtype=wp.float32)
+    gain: wp.array(dtype=wp.float32)
+    friction: wp.array(dtype=wp.float32)
+    torque_limit: wp.array(dtype=wp.float32)
+    speed_limit: wp.array(dtype=wp.float32)
+    lower: wp.array(dtype=wp.float32)
+    upper: wp.array(dtype=wp.float32)
+    reach: wp.array(dtype=wp.float32)
+    end_link: int
+    end_position: wp.vec3
+    end_rotation: wp.quat
+    shape_link: wp.array(dtype=int)
+    shape_start: wp.array(dtype=wp.vec3)
+    shape_end: wp.array(dtype=wp.vec3)
+    shape_radius: wp.array(dtype=wp.float32)
+    pair: wp.array2d(dtype=int)
+    gravity: wp.vec3
+
+
+@wp.struct
+class ArmState:
+    """What a user reads and writes, [worlds, dof] or [worlds]."""
+
+    q: wp.array2d(dtype=wp.float32)
+    qd: wp.array2d(dtype=wp.float32)
+    torque: wp.array2d(dtype=wp.float32)
+    target: wp.array2d(dtype=wp.float32)
+    force: wp.array2d(dtype=wp.vec3)
+    end_position: wp.array(dtype=wp.vec3)
+    end_rotation: wp.array(dtype=wp.vec4)
+    lost: wp.array(dtype=int)
+
+
 @cache
 def arm_types(dof: int) -> SimpleNamespace:
-    """Return the structs of an arm with ``dof`` joints.
+    """Return `Arm`, `ArmState` and ``ArmWork``, which a step of an arm with ``dof`` joints works in, [worlds].
 
-    ``Arm`` holds what all worlds share, [dof] or [capsules]; ``ArmState`` what a user reads and writes, [worlds, dof];
-    ``ArmWork`` what a step works in.
+    With them the vector ``Row`` [dof] and the matrices ``Square`` [dof, dof] and ``Tall`` [dof, 3].
     """
     Row = wp.types.vector(dof, wp.float32)
     Square = wp.types.matrix((dof, dof), wp.float32)
-
-    @wp.struct
-    class Arm:
-        position: wp.array(dtype=wp.vec3)
-        rotation: wp.array(dtype=wp.quat)
-        axis: wp.array(dtype=wp.vec3)
-        mass: wp.array(dtype=wp.float32)
-        com: wp.array(dtype=wp.vec3)
-        inertia: wp.array(dtype=wp.mat33)
-        armature: wp.array(dtype=wp.float32)
-        damping: wp.array(dtype=wp.float32)
-        gain: wp.array(dtype=wp.float32)
-        friction: wp.array(dtype=wp.float32)
-        torque_limit: wp.array(dtype=wp.float32)
-        speed_limit: wp.array(dtype=wp.float32)
-        lower: wp.array(dtype=wp.float32)
-        upper: wp.array(dtype=wp.float32)
-        reach: wp.array(dtype=wp.float32)
-        end_link: int
-        end_position: wp.vec3
-        end_rotation: wp.quat
-        shape_link: wp.array(dtype=int)
-        shape_start: wp.array(dtype=wp.vec3)
-        shape_end: wp.array(dtype=wp.vec3)
-        shape_radius: wp.array(dtype=wp.float32)
-        pair: wp.array2d(dtype=int)
-        gravity: wp.vec3
-
-    @wp.struct
-    class ArmState:
-        q: wp.array2d(dtype=wp.float32)
-        qd: wp.array2d(dtype=wp.float32)
-        torque: wp.array2d(dtype=wp.float32)
-        target: wp.array2d(dtype=wp.float32)
-        force: wp.array2d(dtype=wp.vec3)
-        end_position: wp.array(dtype=wp.vec3)
-        end_rotation: wp.array(dtype=wp.vec4)
-        lost: wp.array(dtype=int)
+    Tall = wp.types.matrix((dof, 3), wp.float32)
 
     @wp.struct
     class ArmWork:
@@ -112,7 +118,7 @@ def arm_types(dof: int) -> SimpleNamespace:
         velocity: wp.array(dtype=Row)
         held: wp.array(dtype=Row)
 
-    return SimpleNamespace(Arm=Arm, ArmState=ArmState, ArmWork=ArmWork, Row=Row, Square=Square)
+    return SimpleNamespace(Arm=Arm, ArmState=ArmState, ArmWork=ArmWork, Row=Row, Square=Square, Tall=Tall)
 
 
 @cache
@@ -327,149 +333,72 @@ def lever(w: int, k: Any, j: int, point: wp.vec3):
     return wp.cross(k.axis[w, j], point - k.origin[w, j])
 
 
-@cache
-def arm_functions(dof: int) -> SimpleNamespace:
-    """Return device functions whose matrices have the arm's size."""
-    types = arm_types(dof)
-    Row, Square = types.Row, types.Square
-    Tall = wp.types.matrix((dof, 3), wp.float32)
+# ---- one world: matrices and rows of the arm's size ------------------------------------------------------------------
 
-    @wp.func(inline=True)
-    def cholesky(A: Square) -> Square:
-        """L with A = L L^T; its diagonal holds the reciprocals."""
-        L = Square()
-        for i in range(dof):
-            for j in range(i + 1):
-                total = A[i, j]
-                for k in range(j):
-                    total -= L[i, k] * L[j, k]
-                if i == j:
-                    L[i, i] = 1.0 / wp.sqrt(wp.max(total, 1.0e-9))
-                else:
-                    L[i, j] = total * L[j, j]
-        return L
 
-    @wp.func(inline=True)
-    def transposed_solved(L: Square, z: Row) -> Row:
-        """L^-T z"""
-        y = Row()
-        for step in range(dof):
-            i = dof - 1 - step
-            total = z[i]
-            for k in range(i + 1, dof):
-                total -= L[k, i] * y[k]
-            y[i] = total * L[i, i]
-        return y
-
-    @wp.func(inline=True)
-    def solved(L: Square, b: Row) -> Row:
-        """A^-1 b"""
-        y = Row()
-        for i in range(dof):
-            total = b[i]
-            for k in range(i):
-                total -= L[i, k] * y[k]
-            y[i] = total * L[i, i]
-        return transposed_solved(L, y)
-
-    @wp.func(inline=True)
-    def response(w: int, k: Any, link: int, other: int, point: wp.vec3, sign: float, frame: wp.mat33) -> Any:
-        """J^T and L^-1 J^T of a link's point against another's (or what does not move, -1), in a contact's frame."""
-        J = Tall()
-        Y = Tall()
-        L = k.factor[w]
-        for j in range(dof):
-            y = wp.vec3(0.0, 0.0, 0.0)
-            if j <= link:
-                if j > other:
-                    y = frame * (lever(w, k, j, point) * sign)
-            J[j] = y
-            for m in range(j):
-                y = y - Y[m] * L[j, m]
-            Y[j] = y * L[j, j]
-        return J, Y
-
-    @wp.func(inline=True)
-    def free_arm(w: int, a: Any, x: Any, k: Any, h: float):
-        """Velocities after the step without contact, for the present set of joints at their torque limit; and L."""
-        A = k.inertia[w]
-        b = k.bias[w]
-        g = k.weight[w]
-        held = k.held[w]
-        r = Row()
-        for i in range(dof):
-            total = 0.0 - h * b[i]
-            for j in range(dof):
-                total += A[i, j] * x.qd[w, j]
-            r[i] = total
-        for j in range(dof):
-            rest = a.damping[j] + a.friction[j] / wp.max(wp.abs(x.qd[w, j]), CREEP)
-            if held[j] == 0.0:
-                rest = rest + a.gain[j]
-                r[j] = r[j] + h * a.gain[j] * command(w, a, x, j, h)
+@wp.func(inline=True)
+def cholesky(A: Any):
+    """L with A = L L^T; its diagonal holds the reciprocals."""
+    L = type(A)()
+    for i in range(len(A)):
+        for j in range(i + 1):
+            total = A[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            if i == j:
+                L[i, i] = 1.0 / wp.sqrt(wp.max(total, 1.0e-9))
             else:
-                r[j] = r[j] + h * (held[j] * a.torque_limit[j] - g[j])
-            over = beyond(x.q[w, j], a.lower[j], a.upper[j])
-            if over != 0.0:
-                rest = rest + h * STOP + STOP_DAMPING
-                r[j] = r[j] - h * STOP * over
-            A[j, j] = A[j, j] + h * rest
-        L = cholesky(A)
-        k.factor[w] = L
-        k.velocity[w] = solved(L, r)
+                L[i, j] = total * L[j, j]
+    return L
 
-    @wp.func(inline=True)
-    def push_arm(w: int, k: Any, z: Row, h: float):
-        """v' += h A^-1 sum J^T f, with z = L^-1 sum J^T f."""
-        k.velocity[w] = k.velocity[w] + transposed_solved(k.factor[w], z) * h
 
-    @wp.func(inline=True)
-    def judge_servos(w: int, a: Any, x: Any, k: Any, h: float) -> int:
-        """Correct which joints are at their torque limit; return whether that changed anything."""
-        g = k.weight[w]
-        v = k.velocity[w]
-        held = k.held[w]
-        changed = int(0)
-        for j in range(dof):
-            wanted = servo(w, a, x, j, g[j], v[j], h)
-            limited = float(0.0)
-            if wanted > a.torque_limit[j]:
-                limited = 1.0
-            if wanted < 0.0 - a.torque_limit[j]:
-                limited = -1.0
-            if limited != held[j]:
-                # from one limit to the other by way of the servo: a light joint would be thrown to and fro
-                held[j] = wp.where(limited * held[j] < 0.0, 0.0, limited)
-                changed = 1
-        k.held[w] = held
-        return changed
+@wp.func(inline=True)
+def transposed_solved(L: Any, z: Any):
+    """L^-T z"""
+    y = type(z)()
+    for step in range(len(z)):
+        i = len(z) - 1 - step
+        total = z[i]
+        for k in range(i + 1, len(z)):
+            total -= L[k, i] * y[k]
+        y[i] = total * L[i, i]
+    return y
 
-    @wp.func(inline=True)
-    def finish_arm(w: int, a: Any, x: Any, k: Any, h: float):
-        """Take the step: qd <- v', q <- q + h v'; and note the servos' torques.
 
-        Speeds beyond GUARD times a joint's limit are taken out of all joints by one factor, which takes energy out.
-        A step that left the finite is not taken and marks the world as lost.
-        """
-        v = k.velocity[w]
-        g = k.weight[w]
-        calm = float(1.0)
-        sound = int(1)
-        for j in range(dof):
-            wanted = servo(w, a, x, j, g[j], v[j], h)
-            x.torque[w, j] = wp.clamp(wanted, 0.0 - a.torque_limit[j], a.torque_limit[j])
-            if not wp.isfinite(v[j]):
-                sound = 0
-            calm = wp.min(calm, GUARD * a.speed_limit[j] / wp.max(wp.abs(v[j]), 1.0e-6))
-        if sound == 1:
-            for j in range(dof):
-                x.qd[w, j] = v[j] * calm
-                x.q[w, j] = x.q[w, j] + h * x.qd[w, j]
-        else:
-            x.lost[w] = 1
+@wp.func(inline=True)
+def solved(L: Any, b: Any):
+    """A^-1 b = L^-T L^-1 b"""
+    y = type(b)()
+    for i in range(len(b)):
+        total = b[i]
+        for k in range(i):
+            total -= L[i, k] * y[k]
+        y[i] = total * L[i, i]
+    return transposed_solved(L, y)
 
-    return SimpleNamespace(free_arm=free_arm, response=response, push_arm=push_arm, judge_servos=judge_servos,
-                           finish_arm=finish_arm)  # fmt: skip
+
+@wp.func(inline=True)
+def response(w: int, k: Any, link: int, other: int, point: wp.vec3, sign: float, frame: wp.mat33, tall: Any):
+    """J^T and L^-1 J^T of a link's point against another's (or what does not move, -1), in a contact's frame.
+
+    Both are of the type of ``tall``, [dof, 3].
+    """
+    J = type(tall)()
+    Y = type(tall)()
+    L = k.factor[w]
+    for j in range(len(tall)):
+        y = wp.vec3(0.0, 0.0, 0.0)
+        if j <= link:
+            if j > other:
+                y = frame * (lever(w, k, j, point) * sign)
+        J[j] = y
+        for m in range(j):
+            y = y - Y[m] * L[j, m]
+        Y[j] = y * L[j, j]
+    return J, Y
+
+
+# ---- one world: servos and the step ----------------------------------------------------------------------------------
 
 
 @wp.func(inline=True)
@@ -493,6 +422,90 @@ def command(w: int, a: Any, x: Any, j: int, h: float):
 def servo(w: int, a: Any, x: Any, j: int, weight: float, speed: float, h: float):
     """Torque that a joint's servo asks for, before its limit: g + D (v* - v')."""
     return weight + a.gain[j] * (command(w, a, x, j, h) - speed)
+
+
+@wp.func(inline=True)
+def free_arm(w: int, a: Any, x: Any, k: Any, h: float):
+    """Velocities after the step without contact, for the present set of joints at their torque limit; and L.
+
+    A v' = (M + R) v + h (tau_0 - b - g) with A = M + R + h D = L L^T; a stop adds h STOP + STOP_DAMPING to its D.
+    """
+    A = k.inertia[w]
+    b = k.bias[w]
+    g = k.weight[w]
+    held = k.held[w]
+    r = type(b)()
+    for i in range(len(b)):
+        total = 0.0 - h * b[i]
+        for j in range(len(b)):
+            total += A[i, j] * x.qd[w, j]
+        r[i] = total
+    for j in range(len(b)):
+        rest = a.damping[j] + a.friction[j] / wp.max(wp.abs(x.qd[w, j]), CREEP)
+        if held[j] == 0.0:
+            rest = rest + a.gain[j]
+            r[j] = r[j] + h * a.gain[j] * command(w, a, x, j, h)
+        else:
+            r[j] = r[j] + h * (held[j] * a.torque_limit[j] - g[j])
+        over = beyond(x.q[w, j], a.lower[j], a.upper[j])
+        if over != 0.0:
+            rest = rest + h * STOP + STOP_DAMPING
+            r[j] = r[j] - h * STOP * over
+        A[j, j] = A[j, j] + h * rest
+    L = cholesky(A)
+    k.factor[w] = L
+    k.velocity[w] = solved(L, r)
+
+
+@wp.func(inline=True)
+def push_arm(w: int, k: Any, z: Any, h: float):
+    """v' += h A^-1 sum J^T f, with z = L^-1 sum J^T f."""
+    k.velocity[w] = k.velocity[w] + transposed_solved(k.factor[w], z) * h
+
+
+@wp.func(inline=True)
+def judge_servos(w: int, a: Any, x: Any, k: Any, h: float) -> int:
+    """Note the servos' torques and correct which joints are at their limit; return whether that changed anything."""
+    g = k.weight[w]
+    v = k.velocity[w]
+    held = k.held[w]
+    changed = int(0)
+    for j in range(len(v)):
+        wanted = servo(w, a, x, j, g[j], v[j], h)
+        x.torque[w, j] = wp.clamp(wanted, 0.0 - a.torque_limit[j], a.torque_limit[j])
+        limited = float(0.0)
+        if wanted > a.torque_limit[j]:
+            limited = 1.0
+        if wanted < 0.0 - a.torque_limit[j]:
+            limited = -1.0
+        if limited != held[j]:
+            # from one limit to the other by way of the servo: a light joint would be thrown to and fro
+            held[j] = wp.where(limited * held[j] < 0.0, 0.0, limited)
+            changed = 1
+    k.held[w] = held
+    return changed
+
+
+@wp.func(inline=True)
+def finish_arm(w: int, a: Any, x: Any, k: Any, h: float):
+    """Take the step: qd <- v', q <- q + h v'.
+
+    Speeds beyond GUARD times a joint's limit are taken out of all joints by one factor, which takes energy out.
+    A step that left the finite is not taken and marks the world as lost.
+    """
+    v = k.velocity[w]
+    calm = float(1.0)
+    sound = int(1)
+    for j in range(len(v)):
+        if not wp.isfinite(v[j]):
+            sound = 0
+        calm = wp.min(calm, GUARD * a.speed_limit[j] / wp.max(wp.abs(v[j]), 1.0e-6))
+    if sound == 1:
+        for j in range(len(v)):
+            x.qd[w, j] = v[j] * calm
+            x.q[w, j] = x.q[w, j] + h * x.qd[w, j]
+    else:
+        x.lost[w] = 1
 
 
 @wp.func(inline=True)

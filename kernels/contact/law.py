@@ -13,6 +13,7 @@ applied to both sides as it is: action equals reaction to round-off.
 
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import warp as wp
 
@@ -87,48 +88,15 @@ class ContactRule:
     arm_bound: wp.array(dtype=wp.float32)
 
 
-@cache
-def contact_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
-    """Return the structs of `layout.layout_of` with ``Shapes`` (the branches' capsules) and ``Touch`` (working memory).
+def _space_struct(t: SimpleNamespace) -> Any:
+    """A thread's memory for the contacts of one world.
 
-    Capsules are [groups, capsules] in the frames of their links; an absent one lies far away. ``slot_capsule`` [slots,
-    capsules] is a capsule's number in its world, -1 where it has none. ``pair`` [groups, pairs, 2] are the capsules of
-    branches that may touch each other, ``pairs`` their number.
-
-    ``Space`` is a thread's memory for the contacts of one world: the links on their paths [rows, links], numbered from
-    1 (``number`` of a place in the kernel arrays, ``up`` the parent's), with one world's D, U, r, k in all lanes; what
-    direction d = 3 contact + axis yields to the unit forces of all directions, ``width`` a real: [rows, 3 contacts x
-    turns], turns = ceil(3 contacts / width) of that world; the arm's share [rows, dof x turns]; [rows, contacts]; and
-    the matrix of Newton's method.
+    The links on their paths [rows, links], numbered from 1 (``number`` of a place in the kernel arrays, ``up`` the
+    parent's), with one world's D, U, r, k in all lanes; what direction d = 3 contact + axis yields to the unit forces
+    of all directions, ``width`` a real: [rows, 3 contacts x turns], turns = ceil(3 contacts / width) of that world; the
+    arm's share [rows, dof x turns]; [rows, contacts]; and the matrix of Newton's method.
     """
-    t = layout_of(width, precision)
     Real, Vec, Sym, Mat = t.Real, t.Vec, t.Sym, t.Mat
-
-    @wp.struct
-    class Shapes:
-        count: wp.array(dtype=int)
-        link: wp.array2d(dtype=int)
-        middle: wp.array2d(dtype=Vec)
-        half: wp.array2d(dtype=Vec)
-        radius: wp.array2d(dtype=Real)
-        bound: wp.array2d(dtype=Real)
-        slot_capsule: wp.array2d(dtype=int)
-        pairs: wp.array(dtype=int)
-        pair: wp.array3d(dtype=int)
-
-    @wp.struct
-    class Touch:
-        at: wp.array2d(dtype=Vec)
-        velocity: wp.array2d(dtype=Vec)
-        path: wp.array2d(dtype=int)
-        n: wp.array2d(dtype=Vec)
-        f: wp.array2d(dtype=Vec)
-        n_entry: wp.array4d(dtype=wp.float32)
-        f_entry: wp.array4d(dtype=wp.float32)
-        near: wp.array2d(dtype=Vec)
-        near_entry: wp.array4d(dtype=wp.float32)
-        centre: wp.array2d(dtype=Vec)
-        reach: wp.array2d(dtype=Real)
 
     @wp.struct
     class Space:
@@ -164,7 +132,47 @@ def contact_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         matrix: wp.array3d(dtype=wp.float32)
         right: wp.array2d(dtype=wp.float32)
 
-    return SimpleNamespace(**vars(t), Shapes=Shapes, Touch=Touch, Space=Space)
+    return Space
+
+
+@cache
+def contact_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
+    """Return the structs of `layout.layout_of` with ``Shapes`` (branches' capsules), ``Touch`` and ``Space`` (scratch).
+
+    Capsules are [groups, capsules] in the frames of their links; an absent one lies far away. ``slot_capsule`` [slots,
+    capsules] is a capsule's number in its world, -1 where it has none. ``pair`` [groups, pairs, 2] are the capsules of
+    branches that may touch each other, ``pairs`` their number.
+    """
+    t = layout_of(width, precision)
+    Real, Vec = t.Real, t.Vec
+
+    @wp.struct
+    class Shapes:
+        count: wp.array(dtype=int)
+        link: wp.array2d(dtype=int)
+        middle: wp.array2d(dtype=Vec)
+        half: wp.array2d(dtype=Vec)
+        radius: wp.array2d(dtype=Real)
+        bound: wp.array2d(dtype=Real)
+        slot_capsule: wp.array2d(dtype=int)
+        pairs: wp.array(dtype=int)
+        pair: wp.array3d(dtype=int)
+
+    @wp.struct
+    class Touch:
+        at: wp.array2d(dtype=Vec)
+        velocity: wp.array2d(dtype=Vec)
+        path: wp.array2d(dtype=int)
+        n: wp.array2d(dtype=Vec)
+        f: wp.array2d(dtype=Vec)
+        n_entry: wp.array4d(dtype=wp.float32)
+        f_entry: wp.array4d(dtype=wp.float32)
+        near: wp.array2d(dtype=Vec)
+        near_entry: wp.array4d(dtype=wp.float32)
+        centre: wp.array2d(dtype=Vec)
+        reach: wp.array2d(dtype=Real)
+
+    return SimpleNamespace(**vars(t), Shapes=Shapes, Touch=Touch, Space=_space_struct(t))
 
 
 @wp.func

@@ -27,20 +27,11 @@ def effect_efforts_kernel(width: int, precision: int, terms: tuple[Term, ...]) -
 
     @wp.kernel(enable_backward=False, module="unique")
     def efforts(
-        m: Model,
-        fx: Effects,
-        moved: wp.array(dtype=int),
-        watched: wp.array(dtype=int),
-        trajectory: wp.array(dtype=int),
-        length: wp.array(dtype=int),
-        begins: wp.array(dtype=wp.float64),
-        motion_in: wp.array2d(dtype=wp.vec3d),
-        s_out: Scratch,
-        first: int,
-        row: int,
-        step: wp.float64,
+        m: Model, fx: Effects, moved: wp.array(dtype=int), watched: wp.array(dtype=int),
+        trajectory: wp.array(dtype=int), length: wp.array(dtype=int), begins: wp.array(dtype=wp.float64),
+        motion_in: wp.array2d(dtype=wp.vec3d), s_out: Scratch, first: int, row: int, step: wp.float64,
         effort_in_out: wp.array2d(dtype=Real),
-    ):
+    ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         j = trajectory[e]

@@ -2,6 +2,12 @@
 
 A group replays the recordings ``first[group]`` to ``last[group]``, one after the other, each from rest: damage that one
 leaves is there in the next. Without a term that persists it replays one.
+
+A point of a link is pushed by the force F that the sensor's laws make of what it recorded, where the gripper holds,
+
+    x = x_link + R (p + z u) - x_start,   v = v_link + w x R (p + z u) + z' R u
+
+p the grasp point, u the segment's direction, z how far the grip has slid. A law's time is the recording's own.
 """
 
 from functools import cache
@@ -13,7 +19,20 @@ import warp as wp
 from ..lanes.algebra import add, add_cross, add_scaled, cross, div, dot, mul, norm, rotate, sub, unrotate
 from ..lanes.real import SOURCE, fma, fnma, real, sqrt_, where_neg
 from ..tree.observe import locate_links
-from .terms import CALM, GROUPS, MOVING, PARAMETERS, STILL, Term, memory_row, step_of
+from ..tree.rollout import Moment, between, share_of, write_gains, write_joints, write_point
+from .terms import (
+    CALM,
+    GROUPS,
+    MOVING,
+    PARAMETERS,
+    STILL,
+    Term,
+    is_on,
+    memory_row,
+    place_of,
+    slot_of,
+    step_of,
+)
 
 __all__ = ["DELAY", "SETTLING", "effect_rollout_kernels"]
 
@@ -21,12 +40,43 @@ __all__ = ["DELAY", "SETTLING", "effect_rollout_kernels"]
 DELAY = 5
 #: Samples until a gripper opens that no shift reaches.
 NEVER = wp.constant(3 * DELAY)
-#: Column of a branch's input that is 1 where the gripper may hold, else 0.
+#: Column of a branch's input that is 1 where the gripper may hold, else 0; as many columns on stands what the sensor
+#: felt, in the place of each.
 CLOSED = wp.constant(3)
+SENSED = wp.constant(4)
+#: Columns of ``grip``: grasp point and direction of the segment in the link's frame, how far the grip may slide down
+#: (negative) and up, the point in the world in the given pose [m], and the recording's largest force [N].
+GRASP = wp.constant(0)
+ALONG = wp.constant(3)
+DOWN = wp.constant(6)
+UP = wp.constant(7)
+GIVEN = wp.constant(8)
+PEAK = wp.constant(11)
 
 #: Steps that seek rest under a load, each Newton's with 5/4 of the joints' stiffness, and their length [s].
 SETTLING = 16
 SETTLING_STEP = wp.constant(wp.float64(1.0))
+#: What `forget` clears: what the end of a recording clears, or damage too.
+BETWEEN = wp.constant(0)
+EVERYTHING = wp.constant(1)
+
+
+@wp.struct
+class Slots:
+    """Slots of what the replay itself carries out, -1 for what a kernel is built without, and places in ``active``.
+
+    ``slip_row`` is the row of the grip's memory. All are constants of a kernel.
+    """
+
+    tip: int
+    slip: int
+    slip_row: int
+    delay: int
+    lasting: int
+    resting: int
+
+
+# ---- the sensor: what acts in a step ---------------------------------------------------------------------------------
 
 
 @wp.func
@@ -87,23 +137,266 @@ def shifted(
 
 
 @wp.func
-def slid(fx: Any, e: int, k: int, force: Any, p: Any, peak: Any, low: wp.float64, high: wp.float64, h: Any):
+def drawn(
+    e: int, fx: Any, delay: int, input_in: wp.array3d(dtype=wp.float64), now: Moment, n: int, c: int, sensed: int,
+    ends: int, rate: wp.float64, like: Any,
+):  # fmt: skip
+    """Recorded value of column c in the middle of a step, of ``rate`` samples a second.
+
+    Where the sensor lags it is that of column ``sensed``, and what `shifted` adds to it.
+    """
+    value = real(between(input_in, now, c), like)
+    if is_on(e, delay, fx):
+        lag = fx.parameter[e, delay * PARAMETERS * fx.stride] * real(rate, like)
+        value = real(between(input_in, now, sensed), like)
+        value = value + shifted(input_in, now.recording, now.sample, n, sensed, ends, share_of(now), lag)
+    return value
+
+
+@wp.func
+def acting(
+    e: int, fx: Any, delay: int, input_in: wp.array3d(dtype=wp.float64), now: Moment, n: int, ends: int,
+    rate: wp.float64, pose: Any, like: Any, law: wp.Function,
+):  # fmt: skip
+    """Force that acts in the middle of a step; ``like`` is a `ForceState` of the recording."""
+    o = real(0.0, like.contact)
+    recorded = type(like.force)(
+        drawn(e, fx, delay, input_in, now, n, 0, SENSED + 0, ends, rate, o),
+        drawn(e, fx, delay, input_in, now, n, 1, SENSED + 1, ends, rate, o),
+        drawn(e, fx, delay, input_in, now, n, 2, SENSED + 2, ends, rate, o),
+    )
+    closed = input_in[now.recording, now.sample, CLOSED] + input_in[now.recording, now.after, CLOSED]
+    held = real(wp.min(closed, wp.float64(1.0)), o)
+    recorded = recorded * held  # a late sensor still feels what an open gripper does not
+    contact = drawn(e, fx, delay, input_in, now, n, CLOSED, SENSED + CLOSED, ends, rate, o) * held
+    return law(e, 0, fx, type(like)(recorded, contact, pose, like.first, like.gravity))
+
+
+# ---- the grip --------------------------------------------------------------------------------------------------------
+
+
+@wp.func
+def grip_of(grip: wp.array2d(dtype=wp.float64), j: int, c: int, like: Any):
+    """Three columns of recording j's grip, of the type of ``like``."""
+    return type(like)(real(grip[j, c], like.x), real(grip[j, c + 1], like.x), real(grip[j, c + 2], like.x))
+
+
+@wp.func
+def slid(e: int, at: Slots, fx: Any, force: Any, grip: wp.array2d(dtype=wp.float64), j: int, h: Any):
     """Advance how far the grip has slid [m]: rate = a (n x + (1 - n) 1 N) towards the tip, inside the segment.
 
     It slides while the excess x = |F| - b - c F_peak is positive; F_peak is the largest force of the recording.
     """
-    z = fx.memory[e, k]
-    o = real(0.0, p.a)
+    first = at.slip * PARAMETERS * fx.stride
+    a = fx.parameter[e, first]
+    share = fx.parameter[e, first + 3 * fx.stride]
+    z = fx.memory[e, at.slip_row * fx.stride]
+    o = real(0.0, a)
     one = real(1.0, o)
-    excess = norm(force) - fma(p.c, peak, p.b)
-    rate = where_neg(excess, o, p.a * fma(p.d, excess, one - p.d))
+    bear = fma(fx.parameter[e, first + 2 * fx.stride], real(grip[j, PEAK], o), fx.parameter[e, first + fx.stride])
+    excess = norm(force) - bear
+    rate = where_neg(excess, o, a * fma(share, excess, one - share))
     new = fma(rate, h, z.x)
-    bottom = real(low, o)
-    top = real(high, o)
+    bottom = real(grip[j, DOWN], o)
+    top = real(grip[j, UP], o)
     new = where_neg(new - bottom, bottom, new)
     new = where_neg(top - new, top, new)
-    fx.memory[e, k] = type(z)(new, (new - z.x) / h, z.z)
+    fx.memory[e, at.slip_row * fx.stride] = type(z)(new, (new - z.x) / h, z.z)
     return new
+
+
+@wp.func
+def look(e: int, row: int, place: int, k: int, at: Slots, s: Any, fx: Any, nominal: Any, along: Any, start: Any,
+         output_out: Any):  # fmt: skip
+    """Write the displacement and velocity of the grasp point as sample k."""
+    o = real(0.0, nominal.x)
+    arm = rotate(s.pose[row, place], nominal)
+    slip = type(nominal)(o, o, o)
+    if is_on(e, at.slip, fx):
+        z = fx.memory[e, at.slip_row * fx.stride]
+        axis = rotate(s.pose[row, place], along)
+        arm = add_scaled(arm, axis, z.x)
+        slip = axis * z.y
+    p = s.accel[row, place] + arm - start
+    v = add_cross(s.alpha[row, place], s.spin[row, place], arm) + slip
+    write_point(e, k, p, v, output_out)
+
+
+# ---- where a recording begins ----------------------------------------------------------------------------------------
+
+
+@wp.func
+def forget(e: int, kept: Any, most: int, m: Any, fx: Any):
+    """Clear the memories of a group whose rows are marked up to ``most`` in ``kept``."""
+    for row in range(len(kept)):
+        if kept[row] <= most:
+            for i in range(m.count[e] + 1):
+                z = fx.memory[e, row * fx.stride + i]
+                o = real(0.0, z.x)  # no difference of the memory itself: what is not a number would stay so
+                fx.memory[e, row * fx.stride + i] = type(z)(o, o, o)
+
+
+@wp.func
+def rest(e: int, m: Any, x: Any):
+    """Put every joint at its spring's rest, at rest."""
+    for i in range(1, m.count[e] + 1):
+        q = x.coordinate[e, i]
+        v = x.velocity[e, i]
+        o = real(0.0, q.x)
+        x.coordinate[e, i] = type(q)(real(1.0, o), o, o, o)
+        x.velocity[e, i] = type(v)(o, o, o)
+
+
+@wp.func
+def hold_tip(e: int, row: int, slot: int, m: Any, fx: Any, s: Any):
+    """Torques that hold the mass at the tip in the pose that the links have: the given one is in equilibrium."""
+    i = fx.tip
+    mass = fx.parameter[e, slot * PARAMETERS * fx.stride]
+    o = real(0.0, mass)
+    arm = place_of(fx.tip_point, s.r[row, i])
+    place = s.accel[row, i] + rotate(s.pose[row, i], arm)
+    lift = s.accel0[row, 0] * mass
+    for k in range(1, m.count[e] + 1):
+        fx.hold[e, k] = type(arm)(o, o, o)
+    while i > 0:
+        fx.hold[e, i] = unrotate(s.pose[row, i], cross(place - s.accel[row, i], lift))
+        i = m.parent[e, i]
+
+
+@wp.func
+def settle(
+    e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, time: wp.float64, bound: wp.float64, still: int,
+    advance: wp.Function,
+):  # fmt: skip
+    """Let the worlds marked in ``settle`` come to rest under what acts; the others go to their springs' rest."""
+    for _ in range(SETTLING):
+        for i in range(1, m.count[e] + 1):
+            v = x.velocity[e, i]
+            o = real(0.0, v.x)
+            x.velocity[e, i] = type(v)(o, o, o)
+        advance(e, row, m, x, u, fx, s, SETTLING_STEP, time, bound, still)
+    mark = fx.settle[e]
+    for i in range(1, m.count[e] + 1):
+        v = x.velocity[e, i]
+        q = x.coordinate[e, i]
+        o = real(0.0, q.x)
+        x.velocity[e, i] = type(v)(o, o, o)
+        x.coordinate[e, i] = type(q)(
+            where_neg(o - mark, q.w, real(1.0, o)),
+            where_neg(o - mark, q.x, o), where_neg(o - mark, q.y, o), where_neg(o - mark, q.z, o),
+        )  # fmt: skip
+
+
+@wp.func
+def set_out(
+    e: int, row: int, j: int, place: int, is_first: bool, at: Slots, m: Any, x: Any, u: Any, fx: Any, s: Any,
+    grip: wp.array2d(dtype=wp.float64), nominal: Any, time: wp.float64, bound: wp.float64, advance: wp.Function,
+):  # fmt: skip
+    """Bring the worlds to where recording j begins; return the point that displacement counts from, and the calm pose.
+
+    Worlds that are blown come to rest under the wind; displacement is counted from the calm pose all the same, that of
+    the whole branch where damage lasts.
+    """
+    o = real(0.0, nominal.x)
+    lasting = fx.active[e, at.lasting]
+    if is_first or lasting == 0:
+        rest(e, m, x)
+    for i in range(1, m.count[e] + 1):
+        u.force[e, i] = type(nominal)(o, o, o)
+    u.point[e, place] = nominal
+    locate_links(e, row, m, x, s)
+    if at.tip >= 0:
+        if is_first:
+            hold_tip(e, row, at.tip, m, fx, s)
+    if lasting == 1:  # find the calm pose after the damage so far
+        settle(e, row, m, x, u, fx, s, time, bound, CALM, advance)
+        locate_links(e, row, m, x, s)
+    start = s.accel[row, place] + rotate(s.pose[row, place], nominal)
+    if lasting == 1:
+        start = grip_of(grip, j, GIVEN, nominal)
+    calm = s.pose[row, place]
+    if fx.active[e, at.resting] == 1:
+        settle(e, row, m, x, u, fx, s, time, bound, STILL, advance)
+    return start, calm
+
+
+# ---- replay ----------------------------------------------------------------------------------------------------------
+
+
+@wp.func
+def replay_samples(
+    e: int, row: int, j: int, place: int, n: int, written: int, at: Slots, m: Any, x: Any, u: Any, fx: Any, s: Any,
+    grip: wp.array2d(dtype=wp.float64), input_in: wp.array3d(dtype=wp.float64), begin: wp.float64, substeps: int,
+    h: wp.float64, bound: wp.float64, start: Any, like: Any, track: int, output_out: Any, coordinate_out: Any,
+    advance: wp.Function, law: wp.Function,
+):  # fmt: skip
+    """Push a link as recording j says, from where it begins; ``like`` is the `ForceState` there."""
+    nominal = grip_of(grip, j, GRASP, start)
+    along = grip_of(grip, j, ALONG, start)
+    rate = wp.float64(1.0) / (h * wp.float64(substeps))
+    for k in range(n):
+        locate_links(e, row, m, x, s)
+        if written >= 0:
+            look(e, row, place, written + k, at, s, fx, nominal, along, start, output_out)
+            if track == 1:
+                for i in range(m.count[e] + 1):
+                    coordinate_out[e, (written + k) * fx.stride + i] = x.coordinate[e, i]
+        if k < n - 1:
+            ends = wp.int32(NEVER)
+            if is_on(e, at.delay, fx):
+                ends = opening(input_in, j, k, n)
+            for step in range(substeps):
+                now = Moment(j, k, k + 1, step, substeps, 1)
+                force = acting(e, fx, at.delay, input_in, now, n, ends, rate, s.pose[row, place], like, law)
+                u.force[e, place] = force
+                if is_on(e, at.slip, fx):
+                    far = slid(e, at, fx, force, grip, j, real(h, nominal.x))
+                    u.point[e, place] = add_scaled(nominal, along, far)
+                since = wp.float64(k * substeps + step) * h
+                advance(e, row, m, x, u, fx, s, h, begin + since, bound, MOVING)
+
+
+@wp.func
+def drive(
+    e: int, row: int, delay: int, u: Any, fx: Any, s: Any, driven: wp.array(dtype=int),
+    input_in: wp.array3d(dtype=wp.float64), now: Moment, n: int, rate: wp.float64, like: Any, law: wp.Function,
+):  # fmt: skip
+    """Set the efforts of the driven joints in the middle of a step; ``like`` is a `ForceState` of zeros."""
+    o = like.contact
+    for d in range(driven.shape[0]):
+        i = driven[d]
+        recorded = drawn(e, fx, delay, input_in, now, n, d, d, NEVER, rate, o)
+        pose = s.pose[row, i]
+        felt = type(like)(type(like.force)(recorded, o, o), real(1.0, o), pose, pose, like.gravity)
+        effort = u.effort[e, i]
+        effort.x = law(e, i, fx, felt).x
+        u.effort[e, i] = effort
+
+
+@wp.func
+def replay_joints(
+    e: int, row: int, j: int, n: int, delay: int, m: Any, x: Any, u: Any, fx: Any, s: Any,
+    driven: wp.array(dtype=int), hold: int, watched: wp.array(dtype=int), input_in: wp.array3d(dtype=wp.float64),
+    begin: wp.float64, substeps: int, h: wp.float64, bound: wp.float64, like: Any, output_out: Any,
+    advance: wp.Function, law: wp.Function,
+):  # fmt: skip
+    """Drive joints with the efforts of recording j; write coordinate, rate and acceleration of the watched ones."""
+    rate = wp.float64(1.0) / (h * wp.float64(substeps))
+    for k in range(n):
+        write_joints(e, k, watched, x, output_out)
+        for step in range(substeps):
+            now = Moment(j, k, wp.min(k + 1, n - 1), step, substeps, hold)
+            drive(e, row, delay, u, fx, s, driven, input_in, now, n, rate, like, law)
+            since = wp.float64(k * substeps + step) * h
+            advance(e, row, m, x, u, fx, s, h, begin + since, bound, MOVING)
+            if step == 0:
+                write_gains(e, k, watched, x, h, output_out)
+
+
+def kept_rows(terms: tuple[Term, ...]) -> Any:
+    """Mark the rows of memory for `forget`: what `BETWEEN` recordings clears, or only `EVERYTHING`; or that none is."""
+    marks = [int(term.persistent) for term in terms for _ in range(term.memory)] or [EVERYTHING + 1]
+    return wp.constant(wp.types.vector(len(marks), wp.int32)(*marks))
 
 
 @cache
@@ -113,275 +406,76 @@ def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) 
     Beside the laws, the replay itself carries out ``time_delay`` (lag [s]), ``grasp_slip`` (see `slid`) and
     ``tip_mass`` (mass [kg]); parameters stand at their term's slot.
     """
-    parts = step_of(width, precision, terms)
-    t, key, advance, force_law = parts.types, parts.key, parts.advance, parts.force
-    Model, State, Load, Scratch, Real, Vec, Quat = t.Model, t.State, t.Load, t.Scratch, t.Real, t.Vec, t.Quat
-    Effects, ForceState, Parameters = t.Effects, t.ForceState, t.Parameters
-    slots = {term.kind: term.slot for term in terms}
-    has_tip, tip_slot = parts.has_tip, parts.tip_slot
-    has_slip, slip_slot = int("grasp_slip" in slots), slots.get("grasp_slip", 0)
-    has_delay, delay_slot = int("time_delay" in slots), slots.get("time_delay", 0) * PARAMETERS
-    lasts = int(any(x.persistent for x in terms))
-    num_slots, num_rows = len(terms), memory_row(terms, len(terms))
-    slip_row = memory_row(terms, slip_slot)
-    has_lasting, has_resting = (num_slots + GROUPS.index(k) for k in ("lasting", "resting"))
-    delay_term = slots.get("time_delay", 0)
-    marks = [int(x.persistent) for x in terms for _ in range(x.memory)]
-    kept = wp.constant(wp.types.vector(max(1, num_rows), wp.int32)(*(marks or [0])))
+    return SimpleNamespace(point=_point_kernel(width, precision, terms), joint=_joint_kernel(width, precision, terms))
 
-    def forget(e: int, m: Any, fx: Any, everything: int):
-        """Clear the memories of a group: those that a recording's end clears, or all."""
-        for row in range(num_rows):
-            if everything == 1 or kept[row] == 0:
-                for i in range(m.count[e] + 1):
-                    z = fx.memory[e, row * fx.stride + i]
-                    o = real(0.0, z.x)  # no difference of the memory itself: what is not a number would stay so
-                    fx.memory[e, row * fx.stride + i] = type(z)(o, o, o)
 
-    forget = wp.func(forget, name=f"forget_{key}")
+def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
+    """Kernel that pushes links at their load points as recorded.
 
-    def rest(e: int, m: Any, x: Any):
-        """Put every joint at its spring's rest, at rest."""
-        for i in range(1, m.count[e] + 1):
-            q = x.coordinate[e, i]
-            v = x.velocity[e, i]
-            o = real(0.0, q.x)
-            x.coordinate[e, i] = type(q)(real(1.0, o), o, o, o)
-            x.velocity[e, i] = type(v)(o, o, o)
-
-    rest = wp.func(rest, name=f"rest_{key}")
-
-    def hold_tip(e: int, row: int, m: Any, fx: Any, s: Any):
-        """Torques that hold the mass at the tip in the pose that the links have: the given one is in equilibrium."""
-        i = fx.tip
-        mass = fx.parameter[e, tip_slot * fx.stride]
-        o = real(0.0, mass)
-        arm = type(s.r[row, i])(real(fx.tip_point[0], o), real(fx.tip_point[1], o), real(fx.tip_point[2], o))
-        place = s.accel[row, i] + rotate(s.pose[row, i], arm)
-        lift = s.accel0[row, 0] * mass
-        for k in range(1, m.count[e] + 1):
-            fx.hold[e, k] = type(arm)(o, o, o)
-        while i > 0:
-            fx.hold[e, i] = unrotate(s.pose[row, i], cross(place - s.accel[row, i], lift))
-            i = m.parent[e, i]
-
-    hold_tip = wp.func(hold_tip, name=f"hold_tip_{key}")
-
-    def settle(
-        e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, time: wp.float64, bound: wp.float64, still: int
-    ):  # fmt: skip
-        """Let the worlds marked in ``settle`` come to rest under what acts; the others go to their springs' rest."""
-        for _ in range(SETTLING):
-            for i in range(1, m.count[e] + 1):
-                v = x.velocity[e, i]
-                o = real(0.0, v.x)
-                x.velocity[e, i] = type(v)(o, o, o)
-            advance(e, row, m, x, u, fx, s, SETTLING_STEP, time, bound, still)
-        mark = fx.settle[e]
-        for i in range(1, m.count[e] + 1):
-            v = x.velocity[e, i]
-            q = x.coordinate[e, i]
-            o = real(0.0, q.x)
-            x.velocity[e, i] = type(v)(o, o, o)
-            x.coordinate[e, i] = type(q)(
-                where_neg(o - mark, q.w, real(1.0, o)),
-                where_neg(o - mark, q.x, o), where_neg(o - mark, q.y, o), where_neg(o - mark, q.z, o),
-            )  # fmt: skip
-
-    settle = wp.func(settle, name=f"settle_{key}")
-
-    def drawn(
-        input_in: wp.array3d(dtype=wp.float64), e: int, fx: Any, j: int, k: int, after: int, n: int, c: int, step: int,
-        substeps: int, hold: int, rate: wp.float64, sensed: int, ends: int, like: Any,
-    ):  # fmt: skip
-        """Recorded value in the middle of a step; `shifted` by the lag of the sensor, it is in column ``sensed``."""
-        a = input_in[j, k, c]
-        share = (wp.float64(step) + wp.float64(0.5)) / wp.float64(substeps)
-        value = real(a + (input_in[j, after, c] - a) * (wp.float64(hold) * share), like)
-        if wp.static(has_delay):
-            if fx.active[e, delay_term] == 1:
-                lag = fx.parameter[e, delay_slot * fx.stride] * real(rate, like)
-                a = input_in[j, k, sensed]
-                value = real(a + (input_in[j, after, sensed] - a) * (wp.float64(hold) * share), like)
-                value = value + shifted(input_in, j, k, n, sensed, ends, share, lag)
-        return value
-
-    drawn = wp.func(drawn, name=f"drawn_{key}")
+    Inputs are the force x, y, z, whether the gripper holds (1 or 0), and what the sensor felt of each. ``grip``
+    [recordings, 12] is laid out as `GRASP`, `ALONG`, ... say. With ``track`` 1 the joints' coordinates are written
+    too. A recording is written at sample ``offset``, or not where that is negative.
+    """
+    parts, kept = step_of(width, precision, terms), kept_rows(terms)
+    t, advance, law = parts.types, parts.advance, parts.force
+    Model, State, Load, Scratch, Real, Quat = t.Model, t.State, t.Load, t.Scratch, t.Real, t.Quat
+    Effects, ForceState = t.Effects, t.ForceState
+    tip, slip, delay = (slot_of(terms, kind) for kind in ("tip_mass", "grasp_slip", "time_delay"))
+    lasting, resting = (len(terms) + GROUPS.index(k) for k in ("lasting", "resting"))
+    slip_row = memory_row(terms, max(0, slip))
 
     @wp.kernel(enable_backward=False, module="unique")
     def point(
-        m: Model,
-        x_in_out: State,
-        u_out: Load,
-        fx: Effects,
-        grasped: wp.array(dtype=int),
-        grip: wp.array2d(dtype=wp.float64),
-        first_of: wp.array(dtype=int),
-        last_of: wp.array(dtype=int),
-        length: wp.array(dtype=int),
-        begins: wp.array(dtype=wp.float64),
-        offset: wp.array(dtype=int),
-        input_in: wp.array3d(dtype=wp.float64),
-        s_out: Scratch,
-        first: int,
-        row: int,
-        substeps: int,
-        h: wp.float64,
-        bound: wp.float64,
-        output_out: wp.array2d(dtype=Real),
-        track: int,
-        coordinate_out: wp.array2d(dtype=Quat),
-    ):
-        """Push links at their load points as recorded (force x, y, z and whether the gripper holds, 1 or 0).
-
-        Worlds that are blown come to rest under the wind first; displacement is counted from the calm pose all the
-        same. ``grip`` [recordings, 12] holds the grasp point and the segment's direction in the link's frame, how far
-        the grip may slide down (negative) and up, where it is in the world, and the largest force. With ``track`` 1
-        the joints' coordinates are written too. A recording is written at sample ``offset``, or not where that is
-        negative.
-        """
+        m: Model, x_in_out: State, u_out: Load, fx: Effects, grasped: wp.array(dtype=int),
+        grip: wp.array2d(dtype=wp.float64), first_of: wp.array(dtype=int), last_of: wp.array(dtype=int),
+        length: wp.array(dtype=int), begins: wp.array(dtype=wp.float64), offset: wp.array(dtype=int),
+        input_in: wp.array3d(dtype=wp.float64), s_out: Scratch, first: int, row: int, substeps: int, h: wp.float64,
+        bound: wp.float64, output_out: wp.array2d(dtype=Real), track: int, coordinate_out: wp.array2d(dtype=Quat),
+    ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
-        rate = wp.float64(1.0) / (h * wp.float64(substeps))
-        forget(e, m, fx, 1)
+        at = Slots(tip, slip, slip_row, delay, lasting, resting)
+        forget(e, kept, EVERYTHING, m, fx)
         for j in range(first_of[e], last_of[e]):
-            n = length[j]
             place = grasped[j]
-            at = offset[j]
-            if j == first_of[e]:
-                rest(e, m, x_in_out)
-            forget(e, m, fx, 0)
-            o = real(0.0, m.mass[e, 1])
-            zero = Vec(o, o, o)
-            for i in range(1, m.count[e] + 1):
-                u_out.force[e, i] = zero
-            nominal = Vec(real(grip[j, 0], o), real(grip[j, 1], o), real(grip[j, 2], o))
-            along = Vec(real(grip[j, 3], o), real(grip[j, 4], o), real(grip[j, 5], o))
-            u_out.point[e, place] = nominal
-            locate_links(e, r, m, x_in_out, s_out)
-            if wp.static(has_tip):
-                if j == first_of[e]:
-                    hold_tip(e, r, m, fx, s_out)
-            if wp.static(lasts):  # find the calm pose after the damage so far
-                if fx.active[e, has_lasting] == 1:
-                    settle(e, r, m, x_in_out, u_out, fx, s_out, begins[j], bound, CALM)
-                else:
-                    rest(e, m, x_in_out)
-                locate_links(e, r, m, x_in_out, s_out)
-            start = s_out.accel[r, place] + rotate(s_out.pose[r, place], nominal)
-            if wp.static(lasts):  # displacement counts from where the whole branch had its grasp point
-                if fx.active[e, has_lasting] == 1:
-                    start = Vec(real(grip[j, 8], o), real(grip[j, 9], o), real(grip[j, 10], o))
-            calm = s_out.pose[r, place]
-            if fx.active[e, has_resting] == 1:
-                settle(e, r, m, x_in_out, u_out, fx, s_out, begins[j], bound, STILL)
-            for k in range(n):
-                locate_links(e, r, m, x_in_out, s_out)
-                arm = rotate(s_out.pose[r, place], nominal)
-                slip = zero
-                if wp.static(has_slip):
-                    if fx.active[e, slip_slot] == 1:
-                        z = fx.memory[e, slip_row * fx.stride]
-                        axis = rotate(s_out.pose[r, place], along)
-                        arm = add_scaled(arm, axis, z.x)
-                        slip = axis * z.y
-                p = s_out.accel[r, place] + arm - start
-                v = add_cross(s_out.alpha[r, place], s_out.spin[r, place], arm) + slip
-                if at >= 0:
-                    output_out[e, 6 * (at + k) + 0] = p.x
-                    output_out[e, 6 * (at + k) + 1] = p.y
-                    output_out[e, 6 * (at + k) + 2] = p.z
-                    output_out[e, 6 * (at + k) + 3] = v.x
-                    output_out[e, 6 * (at + k) + 4] = v.y
-                    output_out[e, 6 * (at + k) + 5] = v.z
-                    if track == 1:
-                        for i in range(m.count[e] + 1):
-                            coordinate_out[e, (at + k) * fx.stride + i] = x_in_out.coordinate[e, i]
-                if k < n - 1:
-                    ends = wp.int32(NEVER)
-                    if wp.static(has_delay):
-                        ends = opening(input_in, j, k, n)
-                    for step in range(substeps):
-                        recorded = Vec(
-                            drawn(input_in, e, fx, j, k, k + 1, n, 0, step, substeps, 1, rate, 4, ends, o),
-                            drawn(input_in, e, fx, j, k, k + 1, n, 1, step, substeps, 1, rate, 5, ends, o),
-                            drawn(input_in, e, fx, j, k, k + 1, n, 2, step, substeps, 1, rate, 6, ends, o),
-                        )
-                        held = real(wp.min(input_in[j, k, 3] + input_in[j, k + 1, 3], wp.float64(1.0)), o)
-                        recorded = recorded * held  # a late sensor still feels what an open gripper does not
-                        contact = drawn(input_in, e, fx, j, k, k + 1, n, 3, step, substeps, 1, rate, 7, ends, o) * held
-                        gravity = zero - s_out.accel0[r, 0]
-                        now = ForceState(recorded, contact, s_out.pose[r, place], calm, gravity)
-                        acting = force_law(e, 0, fx, now)
-                        u_out.force[e, place] = acting
-                        if wp.static(has_slip):
-                            if fx.active[e, slip_slot] == 1:
-                                q = slip_slot * PARAMETERS * fx.stride
-                                law = Parameters(
-                                    fx.parameter[e, q], fx.parameter[e, q + fx.stride],
-                                    fx.parameter[e, q + 2 * fx.stride], fx.parameter[e, q + 3 * fx.stride], o, o,
-                                )  # fmt: skip
-                                far = slid(
-                                    fx, e, slip_row * fx.stride, acting, law, real(grip[j, 11], o), grip[j, 6],
-                                    grip[j, 7], real(h, o),
-                                )  # fmt: skip
-                                u_out.point[e, place] = add_scaled(nominal, along, far)
-                        since = wp.float64(k * substeps + step) * h
-                        advance(e, r, m, x_in_out, u_out, fx, s_out, h, begins[j] + since, bound, MOVING)
+            forget(e, kept, BETWEEN, m, fx)
+            nominal = grip_of(grip, j, GRASP, m.offset[e, 1])
+            start, calm = set_out(e, r, j, place, j == first_of[e], at, m, x_in_out, u_out, fx, s_out, grip, nominal,
+                                  begins[j], bound, advance)  # fmt: skip
+            zero = nominal - nominal
+            like = ForceState(zero, zero.x, calm, calm, zero - s_out.accel0[r, 0])
+            replay_samples(e, r, j, place, length[j], offset[j], at, m, x_in_out, u_out, fx, s_out, grip, input_in,
+                           begins[j], substeps, h, bound, start, like, track, output_out, coordinate_out, advance,
+                           law)  # fmt: skip
+
+    return point
+
+
+def _joint_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
+    """Kernel that drives joints with their recorded efforts, and writes what the watched ones do."""
+    parts, kept = step_of(width, precision, terms), kept_rows(terms)
+    t, advance, law, delay = parts.types, parts.advance, parts.force, slot_of(terms, "time_delay")
+    Model, State, Load, Scratch, Real, Vec = t.Model, t.State, t.Load, t.Scratch, t.Real, t.Vec
+    Effects, ForceState = t.Effects, t.ForceState
 
     @wp.kernel(enable_backward=False, module="unique")
     def joint(
-        m: Model,
-        x_in_out: State,
-        u_out: Load,
-        fx: Effects,
-        driven: wp.array(dtype=int),
-        hold: int,
-        watched: wp.array(dtype=int),
-        trajectory: wp.array(dtype=int),
-        length: wp.array(dtype=int),
-        begins: wp.array(dtype=wp.float64),
-        input_in: wp.array3d(dtype=wp.float64),
-        s_out: Scratch,
-        first: int,
-        row: int,
-        substeps: int,
-        h: wp.float64,
-        bound: wp.float64,
-        output_out: wp.array2d(dtype=Real),
-    ):
-        """Drive joints with their recorded efforts; write coordinate, rate and acceleration of the watched ones."""
+        m: Model, x_in_out: State, u_out: Load, fx: Effects, driven: wp.array(dtype=int), hold: int,
+        watched: wp.array(dtype=int), trajectory: wp.array(dtype=int), length: wp.array(dtype=int),
+        begins: wp.array(dtype=wp.float64), input_in: wp.array3d(dtype=wp.float64), s_out: Scratch, first: int,
+        row: int, substeps: int, h: wp.float64, bound: wp.float64, output_out: wp.array2d(dtype=Real),
+    ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
-        rate = wp.float64(1.0) / (h * wp.float64(substeps))
         j = trajectory[e]
-        n = length[j]
-        c = watched.shape[0]
-        forget(e, m, fx, 1)
+        forget(e, kept, EVERYTHING, m, fx)
         o = real(0.0, m.mass[e, 1])
         zero = Vec(o, o, o)
-        for k in range(n):
-            after = wp.min(k + 1, n - 1)
-            for w in range(c):
-                output_out[e, 3 * (k * c + w) + 0] = x_in_out.coordinate[e, watched[w]].x
-                output_out[e, 3 * (k * c + w) + 1] = x_in_out.velocity[e, watched[w]].x
-            for step in range(substeps):
-                for d in range(driven.shape[0]):
-                    i = driven[d]
-                    recorded = drawn(input_in, e, fx, j, k, after, n, d, step, substeps, hold, rate, d, NEVER, o)
-                    pose = s_out.pose[r, i]
-                    now = ForceState(Vec(recorded, o, o), real(1.0, o), pose, pose, zero)
-                    effort = u_out.effort[e, i]
-                    effort.x = force_law(e, i, fx, now).x
-                    u_out.effort[e, i] = effort
-                since = wp.float64(k * substeps + step) * h
-                advance(e, r, m, x_in_out, u_out, fx, s_out, h, begins[j] + since, bound, MOVING)
-                if step == 0:
-                    for w in range(c):
-                        before = output_out[e, 3 * (k * c + w) + 1]
-                        gained = x_in_out.velocity[e, watched[w]].x - before
-                        output_out[e, 3 * (k * c + w) + 2] = gained * real(wp.float64(1.0) / h, before)
+        pose = m.turn[e, 1]
+        like = ForceState(zero, o, pose, pose, zero)
+        replay_joints(e, r, j, length[j], delay, m, x_in_out, u_out, fx, s_out, driven, hold, watched, input_in,
+                      begins[j], substeps, h, bound, like, output_out, advance, law)  # fmt: skip
 
-    return SimpleNamespace(point=point, joint=joint)
+    return joint

@@ -33,7 +33,19 @@ from ..tree.articulated import (
     skew,
 )
 from ..tree.momentum import HELD, PIVOTED, add_gravity, add_impulses, restore_momentum, sum_momentum
-from .terms import PARAMETERS, Term, chain_of, effect_types, effective_damping, skew_square, strips_of
+from .terms import (
+    PARAMETERS,
+    Present,
+    Term,
+    chain_of,
+    effect_types,
+    effective_damping,
+    is_on,
+    skew_square,
+    slot_of,
+    strain_of,
+    strips_of,
+)
 
 __all__ = ["KINDS", "term_functions", "term_kernels", "term_types", "time_of"]
 
@@ -88,7 +100,11 @@ def term_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
 
 
 def _taking(t: SimpleNamespace, count: int, key: str) -> Any:
-    """Device function that takes over values and time."""
+    """Device function that takes over values and time.
+
+    It is made per width: Warp unrolls loops over lanes only where their number is a constant of the function, and a
+    launch of a single step then takes two thirds of the time.
+    """
     Scalar, W, flags = t.Scalar, t.width, count + len(KINDS)
 
     def take(e: int, m: Any, fx: Any, duration: wp.float64):
@@ -164,128 +180,87 @@ def hold_ends(e: int, row: int, slot: int, m: Any, fx: Any, s: Any):
 
 
 @wp.func
-def state_of(kind: int, q: Any, w: Any, stiffness: Any, time: Any, h: wp.float64, like: Any):
-    """Angle, rate and spring of a joint as laws see them."""
-    o = real(0.0, time)
-    angle = type(w)(q.x, o, o)
-    rate = type(w)(w.x, o, o)
-    if kind == SPHERICAL:
-        angle = type(w)(q.x, q.y, q.z) * half_angle_log(q)
-        rate = w
-    return type(like)(angle, rate, stiffness, time, real(h, o))
+def blow(e: int, row: int, m: Any, fx: Any, s: Any, time: Any, strips: wp.Function):
+    """Write the laws' force on every link and its moment about the joint."""
+    for i in range(1, m.count[e] + 1):
+        blown = strips(e, row, i, m, fx, s, time)
+        fx.wind[row, i] = blown.force
+        fx.swirl[row, i] = blown.moment
 
 
-def _straining(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> Any:
-    """Device function of the laws at a joint."""
-    law, JointState, Response = chain_of("joint", terms, t, key), t.JointState, t.Response
-
-    def strain(e: int, row: int, i: int, m: Any, x: Any, fx: Any, h: wp.float64, time: Any):
-        """Return the laws' effort at a joint; its damper becomes what they make of it."""
-        w = x.velocity[e, i]
-        o = real(0.0, time)
-        zero = type(w)(o, o, o)
-        kind = m.kind[e, i]
-        spring = m.stiffness[e, i]
-        j = state_of(kind, x.coordinate[e, i], w, spring, time, h, JointState(w, w, o, o, o))
-        r = law(e, i, fx, j, Response(zero, zero, o, o))
-        m.damping[e, i] = effective_damping(kind, fx.damping[e, i], spring, r.stiffness, r.damping, h)
-        fx.effort[row, i] = r.torque
-        return r.torque
-
-    return wp.func(strain, name=f"strain_{key}")
+@wp.func
+def torque_of(e: int, row: int, i: int, m: Any, x: Any, fx: Any, h: wp.float64, time: Any, strain: wp.Function):
+    """Return the laws' effort at a joint; its damper becomes what they make of it."""
+    r = strain(e, i, m, x, fx, h, time)
+    m.damping[e, i] = effective_damping(m.kind[e, i], fx.damping[e, i], m.stiffness[e, i], r.stiffness, r.damping, h)
+    fx.effort[row, i] = r.torque
+    return r.torque
 
 
-def _blowing(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> Any:
-    """Device function of the laws at links."""
-    strips = strips_of(terms, t, key)
+@wp.func
+def fold_laws(
+    e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: Any, at: Present,
+    strain: wp.Function,
+):  # fmt: skip
+    """Fold as `articulated.fold_links_loaded` does, with the laws' efforts, forces and masses."""
+    n = m.count[e]
+    for step in range(n):
+        i = n - step
+        A = own_inertia(e, row, i, m, s)
+        mass = m.mass[e, i]
+        pose = s.pose[row, i]
+        mc = rotate(pose, m.com[e, i]) * mass
+        effort = u.effort[e, i]
+        if is_on(e, at.tip, fx):
+            extra = fx.parameter[e, at.tip * PARAMETERS * fx.stride + i]
+            arm = rotate(pose, fx.end[e, i])
+            A = A + skew_square(arm, A) * extra
+            mass = mass + extra
+            mc = mc + arm * extra
+            effort = effort + fx.hold[row, i]
+        if at.joint >= 0:
+            if fx.active[e, at.joint] == 1:
+                effort = effort + torque_of(e, row, i, m, x, fx, h, time, strain)
+            else:
+                m.damping[e, i] = fx.damping[e, i]
+        B = skew(mc, s.U[row, i])
+        pushed = u.force[e, i]
+        f = own_force(row, i, s, mass, mc) - pushed
+        n0 = add_cross(own_moment(row, i, s, A, mc), pushed, rotate(pose, u.point[e, i]))
+        if is_on(e, at.link, fx):
+            f = f - fx.wind[row, i]
+            n0 = n0 - fx.swirl[row, i]
+        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + effort)
 
-    def blow(e: int, row: int, m: Any, fx: Any, s: Any, time: Any):
-        """Write the laws' force on every link and its moment about the joint."""
+
+@wp.func
+def push_laws(e: int, row: int, m: Any, fx: Any, s: Any, h: wp.float64, at: Present):
+    """Add the impulses of the laws' forces, and of their torque at a ball root, to the momenta before the step."""
+    if is_on(e, at.link, fx):
         for i in range(1, m.count[e] + 1):
-            blown = strips(e, row, i, m, fx, s, time)
-            fx.wind[row, i] = blown.force
-            fx.swirl[row, i] = blown.moment
+            s.accel[row, i] = s.accel[row, m.parent[e, i]] + s.r[row, i]
+            lasts = real(h, m.mass[e, i])
+            impulse = fx.wind[row, i] * lasts
+            s.f[row, 0] = s.f[row, 0] + impulse
+            s.n[row, 0] = add_cross(s.n[row, 0] + fx.swirl[row, i] * lasts, s.accel[row, i], impulse)
+    if is_on(e, at.joint, fx):
+        if m.free[e] == PIVOTED:
+            torque = rotate(s.pose[row, 1], fx.effort[row, 1])
+            s.n[row, 0] = s.n[row, 0] + torque * real(h, torque.x)
 
-    return wp.func(blow, name=f"blow_{key}")
 
-
-def _advancing(t: SimpleNamespace, terms: tuple[Term, ...], key: str) -> SimpleNamespace:
-    """Device functions of one step; see `term_functions`."""
-    kinds = [term.kind for term in terms]
-    has_joint, has_link, has_end = (int(kind in kinds) for kind in KINDS)
-    at_joint, at_link, at_end = (len(terms) + n for n in range(len(KINDS)))
-    end_row = PARAMETERS * (kinds.index("tip_mass") if has_end else 0)
-    strain, blow = _straining(t, terms, key), _blowing(t, terms, key)
-
-    def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: Any):
-        """Fold as `articulated.fold_links_loaded` does, with the laws' efforts, forces and masses."""
-        n = m.count[e]
-        for step in range(n):
-            i = n - step
-            A = own_inertia(e, row, i, m, s)
-            mass = m.mass[e, i]
-            pose = s.pose[row, i]
-            mc = rotate(pose, m.com[e, i]) * mass
-            effort = u.effort[e, i]
-            if wp.static(has_end):
-                if fx.active[e, at_end] == 1:
-                    extra = fx.parameter[e, end_row * fx.stride + i]
-                    arm = rotate(pose, fx.end[e, i])
-                    A = A + skew_square(arm, A) * extra
-                    mass = mass + extra
-                    mc = mc + arm * extra
-                    effort = effort + fx.hold[row, i]
-            if wp.static(has_joint):
-                if fx.active[e, at_joint] == 1:
-                    effort = effort + strain(e, row, i, m, x, fx, h, time)
-                else:
-                    m.damping[e, i] = fx.damping[e, i]
-            B = skew(mc, s.U[row, i])
-            pushed = u.force[e, i]
-            f = own_force(row, i, s, mass, mc) - pushed
-            n0 = add_cross(own_moment(row, i, s, A, mc), pushed, rotate(pose, u.point[e, i]))
-            if wp.static(has_link):
-                if fx.active[e, at_link] == 1:
-                    f = f - fx.wind[row, i]
-                    n0 = n0 - fx.swirl[row, i]
-            fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + effort)
-
-    fold = wp.func(fold, name=f"fold_{key}")
-
-    def feel(e: int, row: int, m: Any, fx: Any, s: Any, time: Any):
-        """Write the laws' force on every link, where there is any."""
-        if wp.static(has_link):
-            if fx.active[e, at_link] == 1:
-                blow(e, row, m, fx, s, time)
-
-    feel = wp.func(feel, name=f"feel_{key}")
-
-    def advance(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: Any, bound: wp.float64):
-        """Take one semi-implicit step of length h [s] from the worlds' times."""
-        place_root(e, row, m, s)
-        place_links(e, row, m, x, s)
-        feel(e, row, m, fx, s, time)
-        fold(e, row, m, x, u, fx, s, h, time)
-        advance_links(e, row, m, x, s, h, bound)
-        x.tick[e] = x.tick[e] + 1
-
-    def push(e: int, row: int, m: Any, fx: Any, s: Any, h: wp.float64):
-        """Add the impulses of the laws' forces, and of their torque at a ball root, to the momenta before the step."""
-        if wp.static(has_link):
-            if fx.active[e, at_link] == 1:
-                for i in range(1, m.count[e] + 1):
-                    s.accel[row, i] = s.accel[row, m.parent[e, i]] + s.r[row, i]
-                    lasts = real(h, m.mass[e, i])
-                    impulse = fx.wind[row, i] * lasts
-                    s.f[row, 0] = s.f[row, 0] + impulse
-                    s.n[row, 0] = add_cross(s.n[row, 0] + fx.swirl[row, i] * lasts, s.accel[row, i], impulse)
-        if wp.static(has_joint):
-            if fx.active[e, at_joint] == 1 and m.free[e] == PIVOTED:
-                torque = rotate(s.pose[row, 1], fx.effort[row, 1])
-                s.n[row, 0] = s.n[row, 0] + torque * real(h, torque.x)
-
-    advance, push = wp.func(advance, name=f"advance_{key}"), wp.func(push, name=f"push_{key}")
-    return SimpleNamespace(feel=feel, fold=fold, advance=advance, push=push)
+@wp.func
+def advance_laws(
+    e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: Any, bound: wp.float64,
+    feel: wp.Function, fold: wp.Function,
+):  # fmt: skip
+    """Take one semi-implicit step of length h [s] from the worlds' times."""
+    place_root(e, row, m, s)
+    place_links(e, row, m, x, s)
+    feel(e, row, m, fx, s, time)
+    fold(e, row, m, x, u, fx, s, h, time)
+    advance_links(e, row, m, x, s, h, bound)
+    x.tick[e] = x.tick[e] + 1
 
 
 @wp.func
@@ -302,24 +277,36 @@ def term_functions(width: int, precision: int, terms: tuple[Term, ...]) -> Simpl
     ``start(e, row, m, fx, s, duration)``  before the steps of a launch, which take ``duration`` together
     ``feel(e, row, m, fx, s, time)``       after links are placed: forces on links
     ``fold(e, row, m, x, u, fx, s, h, time)``  in the place of `articulated.fold_links_loaded`
-    ``advance(e, row, m, x, u, fx, s, h, time, bound)``  a whole step
     ``push(e, row, m, fx, s, h)``          adds the laws' impulses to the momenta before a step
     """
-    t = term_types(width, precision)
+    t, count = term_types(width, precision), len(terms)
     key = f"free_{width}_{precision}_" + "_".join(f"{term.name}_{term.kind}" for term in terms)
-    take, parts = _taking(t, len(terms), key), _advancing(t, terms, key)
-    ends = [term.slot for term in terms if term.kind == "tip_mass"]
-    has_end, end_slot = len(ends), ends[0] if ends else 0
+    strain, strips = strain_of(chain_of("joint", terms, t, key), t, key), strips_of(terms, t, key)
+    kinds = [term.kind for term in terms]
+    at_joint, at_link = (count + KINDS.index(kind) if kind in kinds else -1 for kind in ("joint", "link"))
+    take, tip = _taking(t, count, key), slot_of(terms, "tip_mass")
 
     def start(e: int, row: int, m: Any, fx: Any, s: Any, duration: wp.float64):
         """Take over values and time, and hold the masses at links' ends."""
         take(e, m, fx, duration)
-        if wp.static(has_end):
-            if fx.active[e, end_slot] == 1:
-                hold_ends(e, row, end_slot, m, fx, s)
+        if is_on(e, tip, fx):
+            hold_ends(e, row, tip, m, fx, s)
 
-    parts.start = wp.func(start, name=f"start_{key}")
-    return parts
+    def feel(e: int, row: int, m: Any, fx: Any, s: Any, time: Any):
+        """Write the laws' force on every link, where there is any."""
+        if is_on(e, at_link, fx):
+            blow(e, row, m, fx, s, time, strips)
+
+    def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: Any):
+        """Fold with the laws that the kernel is built with."""
+        fold_laws(e, row, m, x, u, fx, s, h, time, Present(at_joint, at_link, tip), strain)
+
+    def push(e: int, row: int, m: Any, fx: Any, s: Any, h: wp.float64):
+        """Add the impulses of the laws that the kernel is built with."""
+        push_laws(e, row, m, fx, s, h, Present(at_joint, at_link, tip))
+
+    named = {"start": start, "feel": feel, "fold": fold, "push": push}
+    return SimpleNamespace(**{name: wp.func(function, name=f"{name}_{key}") for name, function in named.items()})
 
 
 @cache
@@ -329,7 +316,7 @@ def term_kernels(width: int, precision: int, terms: tuple[Term, ...], free: bool
     With ``free`` the momentum of trees that nothing holds is kept (`momentum`).
     """
     t, parts = term_types(width, precision), term_functions(width, precision, terms)
-    start, advance, push = parts.start, parts.advance, parts.push
+    start, feel, fold, push = parts.start, parts.feel, parts.fold, parts.push
     Model, State, Load, Scratch, Terms = t.Model, t.State, t.Load, t.Scratch, t.Terms
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -347,7 +334,7 @@ def term_kernels(width: int, precision: int, terms: tuple[Term, ...], free: bool
                     sum_momentum(e, r, m, x_in_out, s_out)
                     add_gravity(r, s_out, h)
                     add_impulses(e, r, m, u_in, s_out, h)
-            advance(e, r, m, x_in_out, u_in, fx, s_out, h, time_of(e, fx, k, h), bound)
+            advance_laws(e, r, m, x_in_out, u_in, fx, s_out, h, time_of(e, fx, k, h), bound, feel, fold)
             if wp.static(free):
                 if m.free[e] != HELD:
                     push(e, r, m, fx, s_out, h)

@@ -46,7 +46,7 @@ from ..tree.articulated import (
 )
 from ..tree.layout import layout_of
 
-__all__ = ["GROUPS", "PARAMETERS", "Term", "effect_types", "step_of"]
+__all__ = ["GROUPS", "PARAMETERS", "Present", "Term", "effect_types", "step_of"]
 
 #: Parameters that a term may have.
 PARAMETERS = 6
@@ -65,6 +65,18 @@ STRIP = wp.constant(wp.float64(3.0**-0.5))
 MOVING = wp.constant(0)
 STILL = wp.constant(1)
 CALM = wp.constant(2)
+
+
+@wp.struct
+class Present:
+    """Where ``active`` tells of laws at joints and at links, and the slot of `tip_mass`; -1 for what is not built in.
+
+    They are constants of a kernel: the compiler leaves out what a kernel is built without.
+    """
+
+    joint: int
+    link: int
+    tip: int
 
 
 class Term(NamedTuple):
@@ -89,14 +101,24 @@ class Term(NamedTuple):
     persistent: bool = False
 
 
+def slot_of(terms: tuple[Term, ...], kind: str) -> int:
+    """Return the slot of the only term of a kind, -1 where there is none."""
+    return next((term.slot for term in terms if term.kind == kind), -1)
+
+
+def group_place(terms: tuple[Term, ...], kind: str) -> int:
+    """Return where ``active`` tells whether any term of a kind is on, -1 where there is none."""
+    return len(terms) + GROUPS.index(kind) if any(term.kind == kind for term in terms) else -1
+
+
 def memory_row(terms: tuple[Term, ...], slot: int) -> int:
     """Return how many vectors the terms before a slot remember: the first row of that term's memory."""
     return sum(term.memory for term in terms if term.slot < slot)
 
 
 @cache
-def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
-    """Return the structs of `kernels.tree.layout` and those that laws take, of one width and precision."""
+def law_types(width: int, precision: int) -> SimpleNamespace:
+    """Return the structs that laws take and return, of one width and precision."""
     t = layout_of(width, precision)
     Real, Vec, Quat = t.Real, t.Vec, t.Quat
 
@@ -132,6 +154,13 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         stiffness: Real
         damping: Real
 
+    return SimpleNamespace(Parameters=Parameters, JointState=JointState, Response=Response, LongResponse=LongResponse,
+                           **vars(_outer_law_types(Real, Vec, Quat)))  # fmt: skip
+
+
+def _outer_law_types(Real: Any, Vec: Any, Quat: Any) -> SimpleNamespace:
+    """Structs of laws at links and of the sensor."""
+
     @wp.struct
     class LinkState:
         velocity: Vec
@@ -153,6 +182,15 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         first: Quat
         gravity: Vec
 
+    return SimpleNamespace(LinkState=LinkState, Wrench=Wrench, ForceState=ForceState)
+
+
+@cache
+def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
+    """Return the structs of `kernels.tree.layout`, those of laws, and ``Effects``, of one width and precision."""
+    t = layout_of(width, precision)
+    Real, Vec = t.Real, t.Vec
+
     @wp.struct
     class Effects:
         parameter: wp.array2d(dtype=Real)
@@ -170,9 +208,7 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         tip_point: wp.array(dtype=wp.float64)
         stride: int
 
-    return SimpleNamespace(**vars(t), Parameters=Parameters, JointState=JointState, Response=Response,
-                           LongResponse=LongResponse, LinkState=LinkState, ForceState=ForceState, Wrench=Wrench,
-                           Effects=Effects)  # fmt: skip
+    return SimpleNamespace(**vars(t), **vars(law_types(width, precision)), Effects=Effects)
 
 
 # ---- chains: each function calls the one before it and adds a law ----------------------------------------------------
@@ -304,17 +340,38 @@ def strips_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
 
 
 @wp.func
-def joint_state(e: int, i: int, kind: int, m: Any, x: Any, like: Any, time: wp.float64, h: wp.float64):
-    """Angle and rate of a joint as laws see them."""
-    q = x.coordinate[e, i]
-    w = x.velocity[e, i]
-    o = real(0.0, q.x)
+def is_on(e: int, place: int, fx: Any):
+    """Whether any world of a group uses a term; ``place`` is -1 for one that the kernel is built without."""
+    if place < 0:
+        return False
+    return fx.active[e, place] == 1
+
+
+@wp.func
+def joint_state(kind: int, q: Any, w: Any, stiffness: Any, time: Any, h: wp.float64, like: Any):
+    """Angle, rate and spring of a joint as laws see them."""
+    o = real(0.0, time)
     angle = type(w)(q.x, o, o)
     rate = type(w)(w.x, o, o)
     if kind == SPHERICAL:
         angle = type(w)(q.x, q.y, q.z) * half_angle_log(q)
         rate = w
-    return type(like)(angle, rate, m.stiffness[e, i], real(time, o), real(h, o))
+    return type(like)(angle, rate, stiffness, time, real(h, o))
+
+
+def strain_of(law: Any, types: SimpleNamespace, key: str) -> Any:
+    """Return the device function that asks a chain of laws for their response at a joint in its present state."""
+    JointState, Response = types.JointState, types.Response
+
+    def strain(e: int, i: int, m: Any, x: Any, fx: Any, h: wp.float64, time: Any):
+        w = x.velocity[e, i]
+        o = real(0.0, time)
+        zero = type(w)(o, o, o)
+        like = JointState(w, w, o, o, o)
+        j = joint_state(m.kind[e, i], x.coordinate[e, i], w, m.stiffness[e, i], time, h, like)
+        return law(e, i, fx, j, Response(zero, zero, o, o))
+
+    return wp.func(strain, name=f"strain_{key}")
 
 
 @wp.func
@@ -350,94 +407,92 @@ def centre_velocity(e: int, row: int, i: int, m: Any, s: Any, arm: Any):
     return add_cross(v, s.spin[row, i], arm)
 
 
+@wp.func(inline=True)
+def place_of(point: wp.array(dtype=wp.float64), like: Any):
+    """A point that all worlds share, of the type of ``like``."""
+    return type(like)(real(point[0], like.x), real(point[1], like.x), real(point[2], like.x))
+
+
+@wp.func
+def act(
+    e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, still: int,
+    at: Present, strain: wp.Function, strips: wp.Function,
+):  # fmt: skip
+    """Evaluate the laws of joints and links at the present state; seek rest unless ``still`` is MOVING."""
+    for i in range(1, m.count[e] + 1):
+        v = x.velocity[e, i]
+        o = real(0.0, v.x)
+        zero = type(v)(o, o, o)
+        total = u.effort[e, i]
+        if at.tip >= 0:
+            total = total + fx.hold[e, i]
+        stiffness = m.stiffness[e, i]
+        damping = fx.damping[e, i]
+        if is_on(e, at.joint, fx):
+            r = strain(e, i, m, x, fx, h, real(time, o))
+            total = total + r.torque
+            damping = effective_damping(m.kind[e, i], damping, stiffness, r.stiffness, r.damping, h)
+        if still != MOVING:
+            damping = stiffness * real(h * wp.float64(1.25), o)
+        m.damping[e, i] = damping
+        fx.effort[e, i] = total
+        if at.link >= 0:
+            fx.wind[e, i] = zero
+            fx.swirl[e, i] = zero
+            if fx.active[e, at.link] == 1 and still != CALM:
+                blown = strips(e, row, i, m, fx, s, real(time, o))
+                fx.wind[e, i] = blown.force
+                fx.swirl[e, i] = blown.moment
+
+
+@wp.func
+def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, at: Present):
+    """Fold as `articulated.fold_links_loaded` does, with the laws' efforts, wrenches and mass."""
+    n = m.count[e]
+    for step in range(n):
+        i = n - step
+        A = own_inertia(e, row, i, m, s)
+        mass = m.mass[e, i]
+        pose = s.pose[row, i]
+        mc = rotate(pose, m.com[e, i]) * mass
+        if at.tip >= 0:
+            if i == fx.tip:
+                extra = fx.parameter[e, at.tip * PARAMETERS * fx.stride]
+                arm = rotate(pose, place_of(fx.tip_point, mc))
+                A = A + skew_square(arm, A) * extra
+                mass = mass + extra
+                mc = mc + arm * extra
+        B = skew(mc, s.U[row, i])
+        pushed = u.force[e, i]
+        f = own_force(row, i, s, mass, mc) - pushed
+        n0 = add_cross(own_moment(row, i, s, A, mc), pushed, rotate(pose, u.point[e, i]))
+        if at.link >= 0:
+            f = f - fx.wind[e, i]
+            n0 = n0 - fx.swirl[e, i]
+        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + fx.effort[e, i])
+
+
 @cache
 def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamespace:
     """Return the device functions ``advance`` (one step with all terms), ``joint`` and ``force`` (the chains)."""
     t = effect_types(width, precision)
     key = f"{width}_{precision}_" + "_".join(term.name for term in terms)
-    joint = chain_of("joint", terms, t, key)
-    strips = strips_of(terms, t, key)
-    force = chain_of("force", terms, t, key)
-    has_joint, has_link = (int(any(x.kind == k for x in terms)) for k in ("joint", "link"))
-    tips = [x.slot for x in terms if x.kind == "tip_mass"]
-    has_tip, tip_slot = len(tips), tips[0] * PARAMETERS if tips else 0
-    JointState, Response = t.JointState, t.Response
-    at_joints, at_links = (len(terms) + GROUPS.index(k) for k in ("joint", "link"))
-
-    def act(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, still: int):
-        """Evaluate the laws of joints and links at the present state; seek rest unless ``still`` is MOVING."""
-        for i in range(1, m.count[e] + 1):
-            v = x.velocity[e, i]
-            o = real(0.0, v.x)
-            zero = type(v)(o, o, o)
-            total = u.effort[e, i]
-            if wp.static(has_tip):
-                total = total + fx.hold[e, i]
-            kind = m.kind[e, i]
-            stiffness = m.stiffness[e, i]
-            damping = fx.damping[e, i]
-            if wp.static(has_joint):
-                if fx.active[e, at_joints] == 1:
-                    j = joint_state(e, i, kind, m, x, JointState(v, v, o, o, o), time, h)
-                    r = joint(e, i, fx, j, Response(zero, zero, o, o))
-                    total = total + r.torque
-                    damping = effective_damping(kind, damping, stiffness, r.stiffness, r.damping, h)
-            if still != MOVING:
-                damping = stiffness * real(h * wp.float64(1.25), o)
-            m.damping[e, i] = damping
-            fx.effort[e, i] = total
-            if wp.static(has_link):
-                fx.wind[e, i] = zero
-                fx.swirl[e, i] = zero
-                if fx.active[e, at_links] == 1 and still != CALM:
-                    blown = strips(e, row, i, m, fx, s, real(time, o))
-                    fx.wind[e, i] = blown.force
-                    fx.swirl[e, i] = blown.moment
-
-    act = wp.func(act, name=f"act_{key}")
-
-    def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64):
-        """Fold as `articulated.fold_links_loaded` does, with the laws' efforts, wrenches and mass."""
-        n = m.count[e]
-        for step in range(n):
-            i = n - step
-            A = own_inertia(e, row, i, m, s)
-            mass = m.mass[e, i]
-            pose = s.pose[row, i]
-            mc = rotate(pose, m.com[e, i]) * mass
-            if wp.static(has_tip):
-                if i == fx.tip:
-                    extra = fx.parameter[e, tip_slot * fx.stride]
-                    like = real(0.0, extra)
-                    arm = type(mc)(
-                        real(fx.tip_point[0], like), real(fx.tip_point[1], like), real(fx.tip_point[2], like)
-                    )
-                    arm = rotate(pose, arm)
-                    A = A + skew_square(arm, A) * extra
-                    mass = mass + extra
-                    mc = mc + arm * extra
-            B = skew(mc, s.U[row, i])
-            pushed = u.force[e, i]
-            f = own_force(row, i, s, mass, mc) - pushed
-            n0 = add_cross(own_moment(row, i, s, A, mc), pushed, rotate(pose, u.point[e, i]))
-            if wp.static(has_link):
-                f = f - fx.wind[e, i]
-                n0 = n0 - fx.swirl[e, i]
-            fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + fx.effort[e, i])
-
-    fold = wp.func(fold, name=f"fold_{key}")
+    joint, force = chain_of("joint", terms, t, key), chain_of("force", terms, t, key)
+    strain, strips = strain_of(joint, t, key), strips_of(terms, t, key)
+    at_joint, at_link = (group_place(terms, kind) for kind in ("joint", "link"))
+    tip = slot_of(terms, "tip_mass")
 
     def advance(
         e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, bound: wp.float64,
         still: int,
     ):  # fmt: skip
         """Take one semi-implicit step of length h [s] at an absolute time [s], all terms included."""
+        at = Present(at_joint, at_link, tip)
         place_root(e, row, m, s)
         place_links(e, row, m, x, s)
-        act(e, row, m, x, u, fx, s, h, time, still)
-        fold(e, row, m, x, u, fx, s, h)
+        act(e, row, m, x, u, fx, s, h, time, still, at, strain, strips)
+        fold(e, row, m, x, u, fx, s, h, at)
         advance_links(e, row, m, x, s, h, bound)
         x.tick[e] = x.tick[e] + 1
 
-    return SimpleNamespace(types=t, key=key, advance=wp.func(advance, name=f"advance_{key}"), joint=joint, force=force,
-                           has_tip=has_tip, tip_slot=tip_slot)  # fmt: skip
+    return SimpleNamespace(types=t, advance=wp.func(advance, name=f"advance_{key}"), joint=joint, force=force)

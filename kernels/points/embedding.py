@@ -87,6 +87,32 @@ def count_marked(mark: Any):
     return lane_sum(total)
 
 
+@wp.func(inline=True)
+def embed_cloud(
+    w: int, k: int, row: int, t: int, team: int, width: int, whole: int, part: int, c: Any,
+    waves_in: wp.array(dtype=wp.vec3), observation_out: wp.array2d(dtype=wp.float32),
+):  # fmt: skip
+    """Write every ``team``-th feature of cloud k in columns from ``whole``, of marked points in those from ``part``."""
+    x = c.point[row, k, 0]
+    y = c.point[row, k, 1]
+    z = c.point[row, k, 2]
+    mark = c.near[row]
+    scale = wp.sqrt(1.0 / float(waves_in.shape[0]))
+    present = float(c.present[row, k])
+    weight = present * float(x.shape[0] * width)
+    if part < 0:
+        for f in range(t, waves_in.shape[0], team):
+            s2, sc = sum_features(x, y, z, waves_in[f])
+            write_feature(lane_sum(s2), lane_sum(sc), weight, scale, w, whole + 2 * f, observation_out)
+    else:
+        marked = present * count_marked(mark)
+        for f in range(t, waves_in.shape[0], team):
+            s2, sc, marked_s2, marked_sc = sum_marked_features(x, y, z, mark, waves_in[f])
+            write_feature(lane_sum(marked_s2), lane_sum(marked_sc), marked, scale, w, part + 2 * f, observation_out)
+            if whole >= 0:
+                write_feature(lane_sum(s2), lane_sum(sc), weight, scale, w, whole + 2 * f, observation_out)
+
+
 @cache
 def embed_clouds_kernel(width: int = 1) -> Any:
     """Return the kernel that embeds the sampled clouds into columns of the observation, thread (world, cloud, t).
@@ -117,23 +143,6 @@ def embed_clouds_kernel(width: int = 1) -> Any:
         part = wp.where(k == BRANCHES, column[NUM_CLOUDS], -1)
         if whole < 0 and part < 0:
             return
-        x = c_in.point[row, k, 0]
-        y = c_in.point[row, k, 1]
-        z = c_in.point[row, k, 2]
-        mark = c_in.near[row]
-        scale = wp.sqrt(1.0 / float(waves_in.shape[0]))
-        present = float(c_in.present[row, k])
-        weight = present * float(x.shape[0] * W)
-        if part < 0:
-            for f in range(t, waves_in.shape[0], team):
-                s2, sc = sum_features(x, y, z, waves_in[f])
-                write_feature(lane_sum(s2), lane_sum(sc), weight, scale, w, whole + 2 * f, observation_out)
-        else:
-            marked = present * count_marked(mark)
-            for f in range(t, waves_in.shape[0], team):
-                s2, sc, marked_s2, marked_sc = sum_marked_features(x, y, z, mark, waves_in[f])
-                write_feature(lane_sum(marked_s2), lane_sum(marked_sc), marked, scale, w, part + 2 * f, observation_out)
-                if whole >= 0:
-                    write_feature(lane_sum(s2), lane_sum(sc), weight, scale, w, whole + 2 * f, observation_out)
+        embed_cloud(w, k, row, t, team, W, whole, part, c_in, waves_in, observation_out)
 
     return embed

@@ -66,6 +66,58 @@ for _W in (8, 16):
 del V, Lanes
 
 
+@wp.func(inline=True)
+def embed_frequency(
+    f: int, b: int, points_in: wp.array3d(dtype=wp.float32), mask_in: wp.array2d(dtype=wp.bool), masked: int,
+    waves_in: wp.array(dtype=wp.vec3), scale: float, embedding_out: wp.array2d(dtype=wp.float32),
+):  # fmt: skip
+    """Write the feature of frequency f of cloud b, point after point."""
+    weight = wp.float32(0.0)
+    s2 = wp.float32(0.0)
+    sc = wp.float32(0.0)
+    for n in range(points_in.shape[1]):
+        m = weights(mask_in, masked, b, n, points_in.shape[1], weight)
+        turn = part_turn(waves_in[f], points_in[b, n, 0], points_in[b, n, 1], points_in[b, n, 2])
+        s = sine_pi(turn)
+        ms = m * s
+        weight = weight + m
+        s2 = fma(ms, s, s2)
+        sc = fma(ms, cosine_pi(turn), sc)
+    write_feature(s2, sc, weight, scale, b, 2 * f, embedding_out)
+
+
+@wp.func(inline=True)
+def embed_lanes(
+    b: int, width: int, points_in: wp.array3d(dtype=wp.float32), mask_in: wp.array2d(dtype=wp.bool), masked: int,
+    waves_in: wp.array(dtype=wp.vec3), scale: float, row: int, sum_out: Any,
+    embedding_out: wp.array2d(dtype=wp.float32),
+):  # fmt: skip
+    """Write the features of all frequencies of cloud b, ``width`` points at a time."""
+    count = points_in.shape[1]
+    zero = real(0.0, sum_out[row, 0])
+    total = zero
+    for r in range(2 * waves_in.shape[0]):
+        sum_out[row, r] = zero
+    for chunk in range((count + width - 1) // width):
+        n = chunk * width
+        x = coordinates(points_in, b, n, 0, zero)
+        y = coordinates(points_in, b, n, 1, zero)
+        z = coordinates(points_in, b, n, 2, zero)
+        m = weights(mask_in, masked, b, n, count, zero)
+        total = total + m
+        for r in range(waves_in.shape[0]):
+            turn = part_turn(waves_in[r], x, y, z)
+            s = sine_pi(turn)
+            ms = m * s
+            sum_out[row, 2 * r] = fma(ms, s, sum_out[row, 2 * r])
+            sum_out[row, 2 * r + 1] = fma(ms, cosine_pi(turn), sum_out[row, 2 * r + 1])
+    weight = lane_sum(total)
+    for r in range(waves_in.shape[0]):
+        s2 = lane_sum(sum_out[row, 2 * r])
+        sc = lane_sum(sum_out[row, 2 * r + 1])
+        write_feature(s2, sc, weight, scale, b, 2 * r, embedding_out)
+
+
 @cache
 def embed_points_kernel(width: int = 1) -> Any:
     """Return the kernel that embeds clouds [batch, N, 3] into [batch, 2 R].
@@ -84,44 +136,11 @@ def embed_points_kernel(width: int = 1) -> Any:
         tag = SOURCE  # noqa: F841
         f, i = wp.tid()
         b = first + i
-        count = points_in.shape[1]
         scale = wp.sqrt(1.0 / float(waves_in.shape[0]))
         if wp.static(W == 1):
-            weight = wp.float32(0.0)
-            s2 = wp.float32(0.0)
-            sc = wp.float32(0.0)
-            for n in range(count):
-                m = weights(mask_in, masked, b, n, count, weight)
-                turn = part_turn(waves_in[f], points_in[b, n, 0], points_in[b, n, 1], points_in[b, n, 2])
-                s = sine_pi(turn)
-                ms = m * s
-                weight = weight + m
-                s2 = fma(ms, s, s2)
-                sc = fma(ms, cosine_pi(turn), sc)
-            write_feature(s2, sc, weight, scale, b, 2 * f, embedding_out)
+            embed_frequency(f, b, points_in, mask_in, masked, waves_in, scale, embedding_out)
         else:
-            zero = real(0.0, sum_out[row, 0])
-            total = zero
-            for r in range(2 * waves_in.shape[0]):
-                sum_out[row, r] = zero
-            for chunk in range((count + W - 1) // W):
-                n = chunk * W
-                x = coordinates(points_in, b, n, 0, zero)
-                y = coordinates(points_in, b, n, 1, zero)
-                z = coordinates(points_in, b, n, 2, zero)
-                m = weights(mask_in, masked, b, n, count, zero)
-                total = total + m
-                for r in range(waves_in.shape[0]):
-                    turn = part_turn(waves_in[r], x, y, z)
-                    s = sine_pi(turn)
-                    ms = m * s
-                    sum_out[row, 2 * r] = fma(ms, s, sum_out[row, 2 * r])
-                    sum_out[row, 2 * r + 1] = fma(ms, cosine_pi(turn), sum_out[row, 2 * r + 1])
-            weight = lane_sum(total)
-            for r in range(waves_in.shape[0]):
-                s2 = lane_sum(sum_out[row, 2 * r])
-                sc = lane_sum(sum_out[row, 2 * r + 1])
-                write_feature(s2, sc, weight, scale, b, 2 * r, embedding_out)
+            embed_lanes(b, W, points_in, mask_in, masked, waves_in, scale, row, sum_out, embedding_out)
 
     return embed_points
 

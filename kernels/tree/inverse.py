@@ -117,6 +117,21 @@ def balance(e: int, row: int, m: Any, x: Any, u: Any, qdd: Any, s: Any, effort_o
     sum_forces(e, row, m, x, u, qdd, s, effort_out)
 
 
+@wp.func
+def follow(
+    e: int, j: int, k: int, moved: wp.array(dtype=int), motion_in: wp.array2d(dtype=wp.vec3d), x: Any, qdd: Any
+):  # fmt: skip
+    """Give the moved joints the coordinate, rate and acceleration of sample k of recording j."""
+    for w in range(moved.shape[0]):
+        i = moved[w]
+        now = motion_in[j, k * moved.shape[0] + w]
+        q = x.coordinate[e, i]
+        v = x.velocity[e, i]
+        x.coordinate[e, i] = type(q)(q.w, real(now[0], q.x), q.y, q.z)
+        x.velocity[e, i] = type(v)(real(now[1], v.x), v.y, v.z)
+        qdd[e, i] = type(v)(real(now[2], v.x), v.y, v.z)
+
+
 @cache
 def inverse_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
     """Return ``inverse`` (efforts in the present state) and ``replay`` (efforts along recorded motions).
@@ -130,15 +145,9 @@ def inverse_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def inverse(
-        m: Model,
-        x_in: State,
-        u_in: Load,
-        acceleration_in: wp.array2d(dtype=Vec),
-        s_out: Scratch,
-        first: int,
-        row: int,
+        m: Model, x_in: State, u_in: Load, acceleration_in: wp.array2d(dtype=Vec), s_out: Scratch, first: int, row: int,
         effort_out: wp.array2d(dtype=Vec),
-    ):
+    ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
@@ -146,38 +155,19 @@ def inverse_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def replay(
-        m: Model,
-        x_out: State,
-        u_in: Load,
-        acceleration_out: wp.array2d(dtype=Vec),
-        moved: wp.array(dtype=int),
-        watched: wp.array(dtype=int),
-        trajectory: wp.array(dtype=int),
-        length: wp.array(dtype=int),
-        motion_in: wp.array2d(dtype=wp.vec3d),
-        s_out: Scratch,
-        first: int,
-        row: int,
-        all_out: wp.array2d(dtype=Vec),
+        m: Model, x_out: State, u_in: Load, acceleration_out: wp.array2d(dtype=Vec), moved: wp.array(dtype=int),
+        watched: wp.array(dtype=int), trajectory: wp.array(dtype=int), length: wp.array(dtype=int),
+        motion_in: wp.array2d(dtype=wp.vec3d), s_out: Scratch, first: int, row: int, all_out: wp.array2d(dtype=Vec),
         effort_out: wp.array2d(dtype=Real),
-    ):
+    ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
         j = trajectory[e]
-        joints = moved.shape[0]
-        count = watched.shape[0]
         for k in range(length[j]):
-            for w in range(joints):
-                i = moved[w]
-                now = motion_in[j, k * joints + w]
-                q = x_out.coordinate[e, i]
-                v = x_out.velocity[e, i]
-                x_out.coordinate[e, i] = type(q)(q.w, real(now[0], q.x), q.y, q.z)
-                x_out.velocity[e, i] = type(v)(real(now[1], v.x), v.y, v.z)
-                acceleration_out[e, i] = type(v)(real(now[2], v.x), v.y, v.z)
+            follow(e, j, k, moved, motion_in, x_out, acceleration_out)
             balance(e, r, m, x_out, u_in, acceleration_out, s_out, all_out)
-            for w in range(count):
-                effort_out[e, k * count + w] = all_out[e, watched[w]].x
+            for w in range(watched.shape[0]):
+                effort_out[e, k * watched.shape[0] + w] = all_out[e, watched[w]].x
 
     return SimpleNamespace(inverse=inverse, replay=replay)

@@ -6,6 +6,7 @@ the world's slot, links are 1..count. World ``w`` sits in slot ``w`` = group * l
 
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import warp as wp
 
@@ -14,15 +15,9 @@ from ..lanes.algebra import types_of
 __all__ = ["layout_of"]
 
 
-@cache
-def layout_of(width: int = 1, precision: int = 32) -> SimpleNamespace:
-    """Return the structs Model, State, Load and Scratch over the reals of one width and precision.
-
-    Raises:
-        ValueError: No such real exists.
-    """
-    t = types_of(width, precision)
-    Real, Vec, Quat, Sym, Mat = t.Real, t.Vec, t.Quat, t.Sym, t.Mat
+def _model_struct(t: SimpleNamespace) -> Any:
+    """What does not change while worlds move."""
+    Real, Vec, Quat = t.Real, t.Vec, t.Quat
 
     @wp.struct
     class Model:
@@ -45,6 +40,13 @@ def layout_of(width: int = 1, precision: int = 32) -> SimpleNamespace:
         limit: wp.array2d(dtype=Real)
         lift: wp.array(dtype=wp.float64)
 
+    return Model
+
+
+def _state_structs(t: SimpleNamespace) -> dict[str, Any]:
+    """What moves, and what acts."""
+    Real, Vec, Quat = t.Real, t.Vec, t.Quat
+
     @wp.struct
     class State:
         coordinate: wp.array2d(dtype=Quat)
@@ -60,6 +62,13 @@ def layout_of(width: int = 1, precision: int = 32) -> SimpleNamespace:
         force: wp.array2d(dtype=Vec)
         point: wp.array2d(dtype=Vec)
         effort: wp.array2d(dtype=Vec)
+
+    return {"State": State, "Load": Load}
+
+
+def _scratch_struct(t: SimpleNamespace) -> Any:
+    """What a step works in."""
+    Real, Vec, Quat, Sym, Mat = t.Real, t.Vec, t.Quat, t.Sym, t.Mat
 
     @wp.struct
     class Scratch:
@@ -81,5 +90,16 @@ def layout_of(width: int = 1, precision: int = 32) -> SimpleNamespace:
         accel: wp.array2d(dtype=Vec)
         calm: wp.array2d(dtype=Real)
 
-    return SimpleNamespace(**vars(t), Model=Model, State=State, Load=Load, Scratch=Scratch, width=width,
-                           precision=precision)  # fmt: skip
+    return Scratch
+
+
+@cache
+def layout_of(width: int = 1, precision: int = 32) -> SimpleNamespace:
+    """Return the structs Model, State, Load and Scratch over the reals of one width and precision.
+
+    Raises:
+        ValueError: No such real exists.
+    """
+    t = types_of(width, precision)
+    return SimpleNamespace(**vars(t), Model=_model_struct(t), **_state_structs(t), Scratch=_scratch_struct(t),
+                           width=width, precision=precision)  # fmt: skip

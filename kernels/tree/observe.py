@@ -119,12 +119,40 @@ def spring_energy(e: int, i: int, m: Any, x: Any):
     return m.stiffness[e, i] * phi2 * real(0.5, o)
 
 
+@wp.func(inline=True)
+def sums(e: int, row: int, m: Any, x: Any, s: Any):
+    """Kinetic energy, energy of the weight and of the springs, linear and angular momentum of located links.
+
+    T = m v.v/2 + m v.(w x c) + w.I w/2 about each joint point, V = -m g.x, springs K |phi|^2/2.
+    """
+    lift = s.accel0[row, 0]
+    o = real(0.0, lift.x)
+    kinetic = o
+    weight = o
+    spring = o
+    linear = type(lift)(o, o, o)
+    angular = type(lift)(o, o, o)
+    for i in range(1, m.count[e] + 1):
+        mass = m.mass[e, i]
+        mc = rotate(s.pose[row, i], m.com[e, i]) * mass
+        v = s.alpha[row, i]
+        w = s.spin[row, i]
+        at = s.accel[row, i]
+        p = add_cross(v * mass, w, mc)
+        h = add_cross(own_inertia(e, row, i, m, s) * w, mc, v)
+        kinetic = kinetic + (dot(p, v) + dot(h, w)) * real(0.5, o)
+        weight = weight + dot(lift, at * mass + mc)
+        spring = spring + spring_energy(e, i, m, x)
+        linear = linear + p
+        angular = angular + add_cross(h, at, p)
+    return kinetic, weight, spring, linear, angular
+
+
 @cache
 def energy_kernel(width: int = 1, precision: int = 32) -> Any:
-    """Return the kernel that sums energies and momenta of every world.
+    """Return the kernel that sums energies (`sums`; pre-loads left out) and momenta of every world.
 
-    T = m v.v/2 + m v.(w x c) + w.I w/2 about each joint point, V = -m g.x, springs K |phi|^2/2 (pre-loads left out);
-    linear momentum, and angular momentum about the origin.
+    Linear momentum, and angular momentum about the origin.
     """
     t = layout_of(width, precision)
     Model, State, Scratch, W = t.Model, t.State, t.Scratch, width
@@ -139,26 +167,7 @@ def energy_kernel(width: int = 1, precision: int = 32) -> Any:
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
         locate_links(e, r, m, x_in, s_out)
-        lift = s_out.accel0[r, 0]
-        o = real(0.0, lift.x)
-        kinetic = o
-        weight = o
-        spring = o
-        linear = type(lift)(o, o, o)
-        angular = type(lift)(o, o, o)
-        for i in range(1, m.count[e] + 1):
-            mass = m.mass[e, i]
-            mc = rotate(s_out.pose[r, i], m.com[e, i]) * mass
-            v = s_out.alpha[r, i]
-            w = s_out.spin[r, i]
-            x = s_out.accel[r, i]
-            p = add_cross(v * mass, w, mc)
-            h = add_cross(own_inertia(e, r, i, m, s_out) * w, mc, v)
-            kinetic = kinetic + (dot(p, v) + dot(h, w)) * real(0.5, o)
-            weight = weight + dot(lift, x * mass + mc)
-            spring = spring + spring_energy(e, i, m, x_in)
-            linear = linear + p
-            angular = angular + add_cross(h, x, p)
+        kinetic, weight, spring, linear, angular = sums(e, r, m, x_in, s_out)
         for k in range(W):
             world = slot_world[e * W + k]
             if world >= 0:

@@ -1,4 +1,9 @@
-"""Kernels that replay recorded trajectories: many parameter sets against the same inputs, in one launch."""
+"""Kernels that replay recorded trajectories: many parameter sets against the same inputs, in one launch.
+
+Inputs are known at samples. A step takes the value in its middle: between samples a and b, step s of n,
+
+    a + (b - a) (s + 1/2) / n      or a, where inputs are held
+"""
 
 from functools import cache
 from types import SimpleNamespace
@@ -12,7 +17,117 @@ from .articulated import advance_loaded
 from .layout import layout_of
 from .observe import locate_links
 
-__all__ = ["rollout_kernels"]
+__all__ = ["Moment", "between", "rollout_kernels", "share_of", "write_gains", "write_joints", "write_point"]
+
+
+@wp.struct
+class Moment:
+    """The middle of a step between a recording's ``sample`` and the one ``after`` it; ``hold`` is 0 for held inputs."""
+
+    recording: int
+    sample: int
+    after: int
+    step: int
+    substeps: int
+    hold: int
+
+
+@wp.func
+def share_of(now: Moment):
+    """Share of the way to the next sample."""
+    return (wp.float64(now.step) + wp.float64(0.5)) / wp.float64(now.substeps)
+
+
+@wp.func
+def between(input_in: wp.array3d(dtype=wp.float64), now: Moment, c: int):
+    """Recorded value of column c in the middle of a step."""
+    a = input_in[now.recording, now.sample, c]
+    return a + (input_in[now.recording, now.after, c] - a) * (wp.float64(now.hold) * share_of(now))
+
+
+# ---- a point of a link, pushed and watched ---------------------------------------------------------------------------
+
+
+@wp.func(inline=True)
+def write_point(e: int, k: int, p: Any, v: Any, output_out: Any):
+    """Write a point's displacement and velocity as sample k."""
+    output_out[e, 6 * k + 0] = p.x
+    output_out[e, 6 * k + 1] = p.y
+    output_out[e, 6 * k + 2] = p.z
+    output_out[e, 6 * k + 3] = v.x
+    output_out[e, 6 * k + 4] = v.y
+    output_out[e, 6 * k + 5] = v.z
+
+
+@wp.func(inline=True)
+def force_in(input_in: wp.array3d(dtype=wp.float64), now: Moment, like: Any):
+    """Recorded force in the middle of a step, of the type of ``like``."""
+    return type(like)(
+        real(between(input_in, now, 0), like.x),
+        real(between(input_in, now, 1), like.x),
+        real(between(input_in, now, 2), like.x),
+    )
+
+
+@wp.func(inline=True)
+def replay_point(
+    e: int, row: int, j: int, place: int, samples: int, m: Any, x: Any, u: Any, input_in: wp.array3d(dtype=wp.float64),
+    s: Any, substeps: int, h: wp.float64, bound: wp.float64, output_out: Any,
+):  # fmt: skip
+    """Push a link at its load point p as recording j says; write x + R p since the first sample, and v + w x R p."""
+    locate_links(e, row, m, x, s)
+    start = s.accel[row, place] + rotate(s.pose[row, place], u.point[e, place])
+    for k in range(samples):
+        locate_links(e, row, m, x, s)
+        arm = rotate(s.pose[row, place], u.point[e, place])
+        p = s.accel[row, place] + arm - start
+        write_point(e, k, p, add_cross(s.alpha[row, place], s.spin[row, place], arm), output_out)
+        if k < samples - 1:
+            for step in range(substeps):
+                u.force[e, place] = force_in(input_in, Moment(j, k, k + 1, step, substeps, 1), p)
+                advance_loaded(e, row, m, x, u, s, h, bound)
+
+
+# ---- joints, driven and watched --------------------------------------------------------------------------------------
+
+
+@wp.func(inline=True)
+def write_joints(e: int, k: int, watched: wp.array(dtype=int), x: Any, output_out: Any):
+    """Write coordinate and rate of the watched joints as sample k."""
+    c = watched.shape[0]
+    for w in range(c):
+        output_out[e, 3 * (k * c + w) + 0] = x.coordinate[e, watched[w]].x
+        output_out[e, 3 * (k * c + w) + 1] = x.velocity[e, watched[w]].x
+
+
+@wp.func(inline=True)
+def write_gains(e: int, k: int, watched: wp.array(dtype=int), x: Any, h: wp.float64, output_out: Any):
+    """Write the acceleration (v' - v) / h of the watched joints in the first step after sample k."""
+    c = watched.shape[0]
+    for w in range(c):
+        before = output_out[e, 3 * (k * c + w) + 1]
+        gained = x.velocity[e, watched[w]].x - before
+        output_out[e, 3 * (k * c + w) + 2] = gained * real(wp.float64(1.0) / h, before)
+
+
+@wp.func(inline=True)
+def replay_joints(
+    e: int, row: int, j: int, samples: int, m: Any, x: Any, u: Any, driven: wp.array(dtype=int), hold: int,
+    watched: wp.array(dtype=int), input_in: wp.array3d(dtype=wp.float64), s: Any, substeps: int, h: wp.float64,
+    bound: wp.float64, output_out: Any,
+):  # fmt: skip
+    """Drive joints with the efforts of recording j; write coordinate, rate and acceleration of the watched ones."""
+    for k in range(samples):
+        write_joints(e, k, watched, x, output_out)
+        for step in range(substeps):
+            now = Moment(j, k, wp.min(k + 1, samples - 1), step, substeps, hold)
+            for d in range(driven.shape[0]):
+                effort = u.effort[e, driven[d]]
+                effort.x = real(between(input_in, now, d), effort.x)
+                u.effort[e, driven[d]] = effort
+            advance_loaded(e, row, m, x, u, s, h, bound)
+            if step == 0:
+                write_gains(e, k, watched, x, h, output_out)
 
 
 @cache
@@ -20,111 +135,37 @@ def rollout_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
     """Return ``point`` (a point of a link pushed and watched) and ``joint`` (joints driven and watched).
 
     Every group replays one trajectory: ``trajectory`` [groups] names it, ``input_in`` [trajectories, samples, inputs]
-    holds what acts at its samples, ``length`` [trajectories] its number of samples. Between samples the input is
-    linear, and each of ``substeps`` steps takes its value in the middle; with ``hold`` zero it stays at the sample's
-    value. Worlds start from the state they are given.
+    holds what acts at its samples, ``length`` [trajectories] its number of samples, ``grasped`` [trajectories] the link
+    that is pushed. Each sample is followed by ``substeps`` steps. Worlds start from the state they are given.
     """
     t = layout_of(width, precision)
-    Model, State, Load, Scratch, Real, Vec = t.Model, t.State, t.Load, t.Scratch, t.Real, t.Vec
-
-    @wp.func
-    def between(
-        input_in: wp.array3d(dtype=wp.float64), j: int, k: int, after: int, c: int, step: int, substeps: int, hold: int
-    ) -> wp.float64:
-        a = input_in[j, k, c]
-        share = wp.float64(hold) * (wp.float64(step) + wp.float64(0.5)) / wp.float64(substeps)
-        return a + (input_in[j, after, c] - a) * share
+    Model, State, Load, Scratch, Real = t.Model, t.State, t.Load, t.Scratch, t.Real
 
     @wp.kernel(enable_backward=False, module="unique")
     def point(
-        m: Model,
-        x_in_out: State,
-        u_out: Load,
-        grasped: wp.array(dtype=int),
-        trajectory: wp.array(dtype=int),
-        length: wp.array(dtype=int),
-        input_in: wp.array3d(dtype=wp.float64),
-        s_out: Scratch,
-        first: int,
-        row: int,
-        substeps: int,
-        h: wp.float64,
-        bound: wp.float64,
-        output_out: wp.array2d(dtype=Real),
-    ):
-        """Push link ``grasped`` [trajectories] at its load point as recorded.
-
-        Writes six numbers a sample: displacement of the point since the first sample, and its velocity.
-        """
+        m: Model, x_in_out: State, u_out: Load, grasped: wp.array(dtype=int), trajectory: wp.array(dtype=int),
+        length: wp.array(dtype=int), input_in: wp.array3d(dtype=wp.float64), s_out: Scratch, first: int, row: int,
+        substeps: int, h: wp.float64, bound: wp.float64, output_out: wp.array2d(dtype=Real),
+    ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
         j = trajectory[e]
-        n = length[j]
-        place = grasped[j]
-        locate_links(e, r, m, x_in_out, s_out)
-        start = s_out.accel[r, place] + rotate(s_out.pose[r, place], u_out.point[e, place])
-        for k in range(n):
-            locate_links(e, r, m, x_in_out, s_out)
-            arm = rotate(s_out.pose[r, place], u_out.point[e, place])
-            p = s_out.accel[r, place] + arm - start
-            v = add_cross(s_out.alpha[r, place], s_out.spin[r, place], arm)
-            output_out[e, 6 * k + 0] = p.x
-            output_out[e, 6 * k + 1] = p.y
-            output_out[e, 6 * k + 2] = p.z
-            output_out[e, 6 * k + 3] = v.x
-            output_out[e, 6 * k + 4] = v.y
-            output_out[e, 6 * k + 5] = v.z
-            if k < n - 1:
-                for step in range(substeps):
-                    u_out.force[e, place] = Vec(
-                        real(between(input_in, j, k, k + 1, 0, step, substeps, 1), p.x),
-                        real(between(input_in, j, k, k + 1, 1, step, substeps, 1), p.x),
-                        real(between(input_in, j, k, k + 1, 2, step, substeps, 1), p.x),
-                    )
-                    advance_loaded(e, r, m, x_in_out, u_out, s_out, h, bound)
+        replay_point(e, r, j, grasped[j], length[j], m, x_in_out, u_out, input_in, s_out, substeps, h, bound,
+                     output_out)  # fmt: skip
 
     @wp.kernel(enable_backward=False, module="unique")
     def joint(
-        m: Model,
-        x_in_out: State,
-        u_out: Load,
-        driven: wp.array(dtype=int),
-        hold: int,
-        watched: wp.array(dtype=int),
-        trajectory: wp.array(dtype=int),
-        length: wp.array(dtype=int),
-        input_in: wp.array3d(dtype=wp.float64),
-        s_out: Scratch,
-        first: int,
-        row: int,
-        substeps: int,
-        h: wp.float64,
-        bound: wp.float64,
+        m: Model, x_in_out: State, u_out: Load, driven: wp.array(dtype=int), hold: int, watched: wp.array(dtype=int),
+        trajectory: wp.array(dtype=int), length: wp.array(dtype=int), input_in: wp.array3d(dtype=wp.float64),
+        s_out: Scratch, first: int, row: int, substeps: int, h: wp.float64, bound: wp.float64,
         output_out: wp.array2d(dtype=Real),
-    ):
-        """Drive joints with their recorded efforts; write coordinate, rate and acceleration of the watched ones."""
+    ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
         j = trajectory[e]
-        n = length[j]
-        c = watched.shape[0]
-        for k in range(n):
-            after = wp.min(k + 1, n - 1)
-            for w in range(c):
-                output_out[e, 3 * (k * c + w) + 0] = x_in_out.coordinate[e, watched[w]].x
-                output_out[e, 3 * (k * c + w) + 1] = x_in_out.velocity[e, watched[w]].x
-            for step in range(substeps):
-                for d in range(driven.shape[0]):
-                    effort = u_out.effort[e, driven[d]]
-                    effort.x = real(between(input_in, j, k, after, d, step, substeps, hold), effort.x)
-                    u_out.effort[e, driven[d]] = effort
-                advance_loaded(e, r, m, x_in_out, u_out, s_out, h, bound)
-                if step == 0:
-                    for w in range(c):
-                        before = output_out[e, 3 * (k * c + w) + 1]
-                        gained = x_in_out.velocity[e, watched[w]].x - before
-                        output_out[e, 3 * (k * c + w) + 2] = gained * real(wp.float64(1.0) / h, before)
+        replay_joints(e, r, j, length[j], m, x_in_out, u_out, driven, hold, watched, input_in, s_out, substeps, h,
+                      bound, output_out)  # fmt: skip
 
     return SimpleNamespace(point=point, joint=joint)

@@ -63,7 +63,11 @@ def rupture_kernels(width: int = 1) -> Any:
 
     ``slot_link`` [slots, places + 1] names the link at a slot's place, -1 where there is none.
     """
-    W = width
+    return SimpleNamespace(rupture=_rupture_kernel(width), heal=_heal_kernel(width), note=_note_kernel(width))
+
+
+def _rupture_kernel(W: int) -> Any:
+    """Kernel that breaks joints whose springs pass their strength."""
 
     @wp.kernel(enable_backward=False, module="unique")
     def rupture(
@@ -71,7 +75,6 @@ def rupture_kernels(width: int = 1) -> Any:
         coordinate_in: wp.array4d(dtype=wp.float32), strength_in: wp.array2d(dtype=wp.float32), spring_out: Springs,
         broken_out: wp.array2d(dtype=int),
     ):  # fmt: skip
-        """Break the joints whose springs pass their strength."""
         tag = SOURCE  # noqa: F841
         slot, place = wp.tid()
         i = place + 1
@@ -85,12 +88,17 @@ def rupture_kernels(width: int = 1) -> Any:
                 break_spring(e, i, k, spring_out)
                 broken_out[w, link] = 1
 
+    return rupture
+
+
+def _heal_kernel(W: int) -> Any:
+    """Kernel that gives the broken joints of the masked worlds back what held them."""
+
     @wp.kernel(enable_backward=False, module="unique")
     def heal(
         mask: wp.array(dtype=wp.bool), slot_world: wp.array(dtype=int), slot_link: wp.array2d(dtype=int),
         whole_in: Springs, spring_out: Springs, broken_out: wp.array2d(dtype=int),
     ):  # fmt: skip
-        """Give the broken joints of the masked worlds back what held them."""
         tag = SOURCE  # noqa: F841
         slot, place = wp.tid()
         i = place + 1
@@ -101,12 +109,17 @@ def rupture_kernels(width: int = 1) -> Any:
                 copy_spring(slot // W, i, slot % W, whole_in, spring_out)
                 broken_out[w, link] = 0
 
+    return heal
+
+
+def _note_kernel(W: int) -> Any:
+    """Kernel that takes down what holds the joints that are whole."""
+
     @wp.kernel(enable_backward=False, module="unique")
     def note(
         slot_world: wp.array(dtype=int), slot_link: wp.array2d(dtype=int), spring_in: Springs,
         broken_in: wp.array2d(dtype=int), whole_out: Springs,
     ):  # fmt: skip
-        """Take down what holds the joints that are not broken."""
         tag = SOURCE  # noqa: F841
         slot, place = wp.tid()
         i = place + 1
@@ -116,4 +129,4 @@ def rupture_kernels(width: int = 1) -> Any:
             if broken_in[w, link] == 0:
                 copy_spring(slot // W, i, slot % W, spring_in, whole_out)
 
-    return SimpleNamespace(rupture=rupture, heal=heal, note=note)
+    return note

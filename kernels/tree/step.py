@@ -2,6 +2,7 @@
 
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import warp as wp
 
@@ -22,7 +23,12 @@ def step_kernels(width: int = 1, precision: int = 32, free: bool = False) -> Sim
     nothing holds is kept (`momentum`); without, nothing of it is compiled.
     """
     t = layout_of(width, precision)
-    Model, State, Load, Scratch = t.Model, t.State, t.Load, t.Scratch
+    return SimpleNamespace(step=_step_kernel(t, free), step_loaded=_loaded_kernel(t, free))
+
+
+def _step_kernel(t: SimpleNamespace, free: bool) -> Any:
+    """Kernel of worlds under gravity alone."""
+    Model, State, Scratch = t.Model, t.State, t.Scratch
 
     @wp.kernel(enable_backward=False, module="unique")
     def step(
@@ -41,18 +47,18 @@ def step_kernels(width: int = 1, precision: int = 32, free: bool = False) -> Sim
                 if m.free[e] != HELD:
                     restore_momentum(e, r, m, x_in_out, s_out)
 
+    return step
+
+
+def _loaded_kernel(t: SimpleNamespace, free: bool) -> Any:
+    """Kernel of worlds under forces at points of the links and efforts at the joints."""
+    Model, State, Load, Scratch = t.Model, t.State, t.Load, t.Scratch
+
     @wp.kernel(enable_backward=False, module="unique")
     def step_loaded(
-        m: Model,
-        x_in_out: State,
-        u_in: Load,
-        s_out: Scratch,
-        first: int,
-        row: int,
-        substeps: int,
-        h: wp.float64,
+        m: Model, x_in_out: State, u_in: Load, s_out: Scratch, first: int, row: int, substeps: int, h: wp.float64,
         bound: wp.float64,
-    ):
+    ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
@@ -67,4 +73,4 @@ def step_kernels(width: int = 1, precision: int = 32, free: bool = False) -> Sim
                 if m.free[e] != HELD:
                     restore_momentum(e, r, m, x_in_out, s_out)
 
-    return SimpleNamespace(step=step, step_loaded=step_loaded)
+    return step_loaded

@@ -244,7 +244,8 @@ class ArmSimulator(Simulator):
         types = term_types(self.model.width, self.model.precision)
         # a step without effects reads neither
         laws = [self.load.kernel, self.effects.kernel] if self.effects else [types.Load(), types.Terms()]
-        before = [self._dynamics, self.state.kernel, *self._arm.kernel, *self._touch.kernel, *laws, self._slot_world]
+        worlds = self._slot_world.reshape((1, -1))
+        before = [self._dynamics, self.state.kernel, *self._arm.kernel, *self._touch.kernel, *laws, worlds]
         after = [count * self.substeps, self.dt / self.substeps, self.max_speed]
         return self._launcher.prepare(kernel, before, after, split=split)
 

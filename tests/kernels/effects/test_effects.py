@@ -493,7 +493,7 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
     )
     outs = []
     for width in (1, 8):
-        monkeypatch.setattr("bough.learn.replay.rollout.simd_width", lambda w=width: w)
+        monkeypatch.setattr("bough.learn.replay.worlds.simd_width", lambda w=width: w)
         rollout = Rollout(case, recordings(case), 2, unknowns=Unknowns(effects=acting))
         order = [p.name for p in rollout.system.parameters]
         assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 23
