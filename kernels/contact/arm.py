@@ -109,6 +109,8 @@ def arm_types(dof: int) -> SimpleNamespace:
 
     @wp.struct
     class ArmWork:
+        """Working memory of one world's arm."""
+
         origin: wp.array2d(dtype=wp.vec3)
         axis: wp.array2d(dtype=wp.vec3)
         inertia: wp.array(dtype=Square)
@@ -134,6 +136,8 @@ def arm_lanes(width: int) -> Any:
 
     @wp.struct
     class ArmLanes:
+        """Poses and inertia of the arms of a group, in lanes."""
+
         q: wp.array2d(dtype=Real)
         qd: wp.array2d(dtype=Real)
         pose: wp.array2d(dtype=Quat)

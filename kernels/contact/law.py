@@ -100,6 +100,8 @@ def _space_struct(t: SimpleNamespace) -> Any:
 
     @wp.struct
     class Space:
+        """Memory of the problem in the contacts' forces."""
+
         number: wp.array2d(dtype=int)
         up: wp.array2d(dtype=int)
         kind: wp.array2d(dtype=int)
@@ -148,6 +150,8 @@ def contact_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
 
     @wp.struct
     class Shapes:
+        """Capsules of branches and arm, the line."""
+
         count: wp.array(dtype=int)
         link: wp.array2d(dtype=int)
         middle: wp.array2d(dtype=Vec)
@@ -160,6 +164,8 @@ def contact_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
 
     @wp.struct
     class Touch:
+        """Where contacts are noted."""
+
         at: wp.array2d(dtype=Vec)
         velocity: wp.array2d(dtype=Vec)
         path: wp.array2d(dtype=int)

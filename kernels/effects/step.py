@@ -65,6 +65,8 @@ def term_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
 
     @wp.struct
     class Terms:
+        """Values and memories of the laws of a free step."""
+
         value: wp.array2d(dtype=Scalar)
         source: wp.array3d(dtype=int)
         term: wp.array(dtype=int)

@@ -124,6 +124,8 @@ def law_types(width: int, precision: int) -> SimpleNamespace:
 
     @wp.struct
     class Parameters:
+        """Parameters of a law, in the order of its registry entry."""
+
         a: Real
         b: Real
         c: Real
@@ -133,6 +135,8 @@ def law_types(width: int, precision: int) -> SimpleNamespace:
 
     @wp.struct
     class JointState:
+        """What a law at a joint sees."""
+
         angle: Vec
         rate: Vec
         stiffness: Real
@@ -141,6 +145,8 @@ def law_types(width: int, precision: int) -> SimpleNamespace:
 
     @wp.struct
     class Response:
+        """What a law answers: effort, damper and memory."""
+
         torque: Vec
         memory: Vec
         stiffness: Real
@@ -148,6 +154,8 @@ def law_types(width: int, precision: int) -> SimpleNamespace:
 
     @wp.struct
     class LongResponse:
+        """A response with two memories."""
+
         torque: Vec
         memory: Vec
         second: Vec
@@ -163,6 +171,8 @@ def _outer_law_types(Real: Any, Vec: Any, Quat: Any) -> SimpleNamespace:
 
     @wp.struct
     class LinkState:
+        """What a law at a link sees."""
+
         velocity: Vec
         arm: Vec
         turn: Quat
@@ -171,11 +181,15 @@ def _outer_law_types(Real: Any, Vec: Any, Quat: Any) -> SimpleNamespace:
 
     @wp.struct
     class Wrench:
+        """Force and moment."""
+
         force: Vec
         moment: Vec
 
     @wp.struct
     class ForceState:
+        """What a law of the force sensor sees."""
+
         force: Vec
         contact: Real
         turn: Quat
@@ -193,6 +207,8 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
 
     @wp.struct
     class Effects:
+        """Arrays of a replay's effects."""
+
         parameter: wp.array2d(dtype=Real)
         memory: wp.array2d(dtype=Vec)
         damping: wp.array2d(dtype=Real)
@@ -216,16 +232,19 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
 
 @wp.func
 def no_joint(e: int, i: int, fx: Any, j: Any, r: Any):
+    """No law at this joint."""
     return r
 
 
 @wp.func
 def no_link(e: int, i: int, fx: Any, b: Any):
+    """No law at this link."""
     return b.velocity - b.velocity
 
 
 @wp.func
 def no_force(e: int, i: int, fx: Any, g: Any):
+    """No law of the sensor."""
     return g.force
 
 

@@ -93,59 +93,70 @@ def log_(a: Any):
 
 @wp.func
 def uniform_high(key: wp.uint32, n: int, like: F):
+    """Random numbers in (0, 1) of 16 bits, lane i a function of ``key + n + i`` alone."""
     h = wp.rand_init(wp.int32(key + wp.uint32(n)))
     return fma(wp.float32(h >> wp.uint32(16)), CELL, 0.5 * CELL)
 
 
 @wp.func
 def centred_low(key: wp.uint32, n: int, like: F):
+    """The other 16 bits of `uniform_high`, in (-1/2, 1/2)."""
     h = wp.rand_init(wp.int32(key + wp.uint32(n)))
     return fma(wp.float32(h & wp.uint32(65535)), CELL, 0.5 * CELL - 0.5)
 
 
 @wp.func
 def exponent(a: F):
+    """Power of two of a, such that a is it times the `mantissa`."""
     return wp.float32((wp.cast(a, wp.int32) - 0x3F3504F3) >> 23)
 
 
 @wp.func
 def mantissa(a: F):
+    """a over its power of two, in [sqrt(1/2), sqrt(2))."""
     bits = wp.cast(a, wp.int32)
     return wp.cast(bits - (((bits - 0x3F3504F3) >> 23) << 23), wp.float32)
 
 
 @wp.func
 def running_sum(a: F):
+    """Lane i holds a[0] + ... + a[i]."""
     return a
 
 
 @wp.func
 def lane_sum(a: F):
+    """Sum of the lanes, in one order always."""
     return a
 
 
 @wp.func
 def least(a: F):
+    """Smallest lane."""
     return a
 
 
 @wp.func
 def greatest(a: F):
+    """Largest lane."""
     return a
 
 
 @wp.func
 def max_(a: F, b: F):
+    """The larger in each lane."""
     return wp.max(a, b)
 
 
 @wp.func
 def min_(a: F, b: F):
+    """The smaller in each lane."""
     return wp.min(a, b)
 
 
 @wp.func
 def below(a: F, b: F):
+    """1 where a < b, else 0."""
     return wp.where(a < b, 1.0, 0.0)
 
 
@@ -279,62 +290,77 @@ for _W in (8, 16):
 
     @wp.func
     def uniform_high(key: wp.uint32, n: int, like: Lanes):
+        """Random numbers in (0, 1) of 16 bits, lane i a function of ``key + n + i`` alone."""
         return type(like)(_uniform_high(key, n, like.v))
 
     @wp.func
     def centred_low(key: wp.uint32, n: int, like: Lanes):
+        """The other 16 bits of `uniform_high`, in (-1/2, 1/2)."""
         return type(like)(_centred_low(key, n, like.v))
 
     @wp.func
     def exponent(a: Lanes):
+        """Power of two of a, such that a is it times the `mantissa`."""
         return type(a)(_exponent(a.v))
 
     @wp.func
     def mantissa(a: Lanes):
+        """a over its power of two, in [sqrt(1/2), sqrt(2))."""
         return type(a)(_mantissa(a.v))
 
     @wp.func
     def running_sum(a: Lanes):
+        """Lane i holds a[0] + ... + a[i]."""
         return type(a)(_running_sum(a.v))
 
     @wp.func
     def lane_sum(a: Lanes):
+        """Sum of the lanes, in one order always."""
         return _total(a.v)
 
     @wp.func
     def least(a: Lanes):
+        """Smallest lane."""
         return _least(a.v)
 
     @wp.func
     def greatest(a: Lanes):
+        """Largest lane."""
         return _greatest(a.v)
 
     @wp.func
     def row_least(a: wp.array1d(dtype=wp.float32), first: int, count: int, other: float, like: Lanes):
+        """Lane i holds the least of row i of memory."""
         return type(like)(_column_least(a, first, count, other, like.v))
 
     @wp.func
     def row_greatest(a: wp.array1d(dtype=wp.float32), first: int, count: int, other: float, like: Lanes):
+        """Lane i holds the greatest of row i of memory."""
         return type(like)(_column_greatest(a, first, count, other, like.v))
 
     @wp.func
     def max_(a: Lanes, b: Lanes):
+        """The larger in each lane."""
         return type(a)(_max(a.v, b.v))
 
     @wp.func
     def min_(a: Lanes, b: Lanes):
+        """The smaller in each lane."""
         return type(a)(_min(a.v, b.v))
 
     @wp.func
     def below(a: Lanes, b: Lanes):
+        """1 where a < b, else 0."""
         return type(a)(_below(a.v, b.v))
 
     @wp.func
     def tally(count: Lanes, a: Lanes, b: Lanes):
+        """c + 1 where a < b, else c."""
         return type(a)(_tally(count.v, a.v, b.v))
 
     @wp.func
     def negatives(a: Lanes):
+        """Bit i is set where lane i is negative."""
         return _negatives(a.v)
 
 

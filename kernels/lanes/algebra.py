@@ -41,12 +41,16 @@ def _structs(scalar: type) -> SimpleNamespace:
 
     @wp.struct
     class Vec:
+        """A vector x, y, z."""
+
         x: scalar
         y: scalar
         z: scalar
 
     @wp.struct
     class Quat:
+        """A quaternion w, x, y, z."""
+
         w: scalar
         x: scalar
         y: scalar
@@ -54,6 +58,8 @@ def _structs(scalar: type) -> SimpleNamespace:
 
     @wp.struct
     class Sym:
+        """The six entries of a symmetric matrix."""
+
         xx: scalar
         xy: scalar
         xz: scalar
@@ -63,6 +69,8 @@ def _structs(scalar: type) -> SimpleNamespace:
 
     @wp.struct
     class Mat:
+        """The three columns of a matrix."""
+
         x: Vec
         y: Vec
         z: Vec
@@ -77,22 +85,27 @@ for _T in _TYPES.values():
 
     @wp.func
     def add(a: Vec, b: Vec):
+        """a + b."""
         return type(a)(a.x + b.x, a.y + b.y, a.z + b.z)
 
     @wp.func
     def sub(a: Vec, b: Vec):
+        """a - b."""
         return type(a)(a.x - b.x, a.y - b.y, a.z - b.z)
 
     @wp.func
     def mul(a: Vec, s: R):
+        """a b."""
         return type(a)(a.x * s, a.y * s, a.z * s)
 
     @wp.func
     def mul(a: Vec, s: F):
+        """a b."""
         return type(a)(a.x * s, a.y * s, a.z * s)
 
     @wp.func
     def mul(p: Quat, q: Quat):
+        """a b."""
         return type(p)(
             fnma(p.z, q.z, fnma(p.y, q.y, fnma(p.x, q.x, p.w * q.w))),
             fnma(p.z, q.y, fma(p.y, q.z, fma(p.x, q.w, p.w * q.x))),
@@ -102,22 +115,27 @@ for _T in _TYPES.values():
 
     @wp.func
     def mul(q: Quat, s: R):
+        """a b."""
         return type(q)(q.w * s, q.x * s, q.y * s, q.z * s)
 
     @wp.func
     def add(a: Sym, b: Sym):
+        """a + b."""
         return type(a)(a.xx + b.xx, a.xy + b.xy, a.xz + b.xz, a.yy + b.yy, a.yz + b.yz, a.zz + b.zz)
 
     @wp.func
     def sub(a: Sym, b: Sym):
+        """a - b."""
         return type(a)(a.xx - b.xx, a.xy - b.xy, a.xz - b.xz, a.yy - b.yy, a.yz - b.yz, a.zz - b.zz)
 
     @wp.func
     def mul(a: Sym, s: R):
+        """a b."""
         return type(a)(a.xx * s, a.xy * s, a.xz * s, a.yy * s, a.yz * s, a.zz * s)
 
     @wp.func
     def mul(a: Sym, v: Vec):
+        """a b."""
         return type(v)(
             fma(a.xz, v.z, fma(a.xy, v.y, a.xx * v.x)),
             fma(a.yz, v.z, fma(a.yy, v.y, a.xy * v.x)),
@@ -126,6 +144,7 @@ for _T in _TYPES.values():
 
     @wp.func
     def add_mul(c: Vec, a: Sym, v: Vec):
+        """a + b c."""
         return type(v)(
             fma(a.xz, v.z, fma(a.xy, v.y, fma(a.xx, v.x, c.x))),
             fma(a.yz, v.z, fma(a.yy, v.y, fma(a.xy, v.x, c.y))),
@@ -134,6 +153,7 @@ for _T in _TYPES.values():
 
     @wp.func
     def sub_mul(c: Vec, a: Mat, v: Vec):
+        """a - b c."""
         return type(v)(
             fnma(a.z.x, v.z, fnma(a.y.x, v.y, fnma(a.x.x, v.x, c.x))),
             fnma(a.z.y, v.z, fnma(a.y.y, v.y, fnma(a.x.y, v.x, c.y))),
@@ -142,26 +162,32 @@ for _T in _TYPES.values():
 
     @wp.func
     def add(a: Mat, b: Mat):
+        """a + b."""
         return type(a)(a.x + b.x, a.y + b.y, a.z + b.z)
 
     @wp.func
     def sub(a: Mat, b: Mat):
+        """a - b."""
         return type(a)(a.x - b.x, a.y - b.y, a.z - b.z)
 
     @wp.func
     def mul(a: Mat, s: R):
+        """a b."""
         return type(a)(a.x * s, a.y * s, a.z * s)
 
     @wp.func
     def mul(a: Mat, v: Vec):
+        """a b."""
         return add_scaled(add_scaled(a.x * v.x, a.y, v.y), a.z, v.z)
 
     @wp.func
     def mul(a: Sym, b: Mat):
+        """a b."""
         return type(b)(a * b.x, a * b.y, a * b.z)
 
     @wp.func
     def vec3_of(v: Vec, i: int):
+        """A vector of one world as Warp has it."""
         return wp.vec3(lane(v.x, i), lane(v.y, i), lane(v.z, i))
 
 
@@ -170,6 +196,7 @@ del R, Vec, Quat, Sym, Mat
 
 @wp.func
 def dot(a: Any, b: Any):
+    """a . b."""
     return fma(a.z, b.z, fma(a.y, b.y, a.x * b.x))
 
 
@@ -181,6 +208,7 @@ def spread(v: wp.vec3, like: Any):
 
 @wp.func
 def cross(a: Any, b: Any):
+    """a x b."""
     return type(a)(fnma(a.z, b.y, a.y * b.z), fnma(a.x, b.z, a.z * b.x), fnma(a.y, b.x, a.x * b.y))
 
 

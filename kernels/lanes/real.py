@@ -96,21 +96,25 @@ def series_cosine(u: Any):
 
 @wp.func
 def real(c: F, like: F):
+    """The constant c as a real of the type of ``like``."""
     return c
 
 
 @wp.func
 def real(c: wp.float64, like: F):
+    """The constant c as a real of the type of ``like``."""
     return wp.float32(c)
 
 
 @wp.func
 def where_neg(c: F, a: F, b: F):
+    """a where c < 0, else b (also where c is NaN)."""
     return wp.where(c < 0.0, a, b)
 
 
 @wp.func
 def any_neg(c: F):
+    """Whether c < 0 in any world of the group."""
     return c < 0.0
 
 
@@ -124,46 +128,55 @@ def _fma64(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64: ...
 
 @wp.func
 def fma(a: F, b: F, c: F):
+    """a b + c, rounded once."""
     return _fma32(a, b, c)
 
 
 @wp.func
 def fnma(a: F, b: F, c: F):
+    """c - a b, rounded once."""
     return _fma32(-a, b, c)
 
 
 @wp.func
 def sqrt_(a: F):
+    """Square root."""
     return wp.sqrt(a)
 
 
 @wp.func
 def round_(a: F):
+    """Nearest integer, ties to even."""
     return wp.rint(a)
 
 
 @wp.func
 def sin_ratio(u: F):
+    """sin(x)/x with x = sqrt(u)."""
     return series_sine(u)
 
 
 @wp.func
 def cos_root(u: F):
+    """cos(x) with x = sqrt(u)."""
     return series_cosine(u)
 
 
 @wp.func
 def atan_ratio(u: F):
+    """atan(x)/x with x = sqrt(u), u in [0, 1]."""
     return series_atan(u)
 
 
 @wp.func
 def lane_neg(c: F, i: int):
+    """Whether c < 0 in world i of the group."""
     return c < 0.0
 
 
 @wp.func
 def lane(a: F, i: int):
+    """Value of world i of the group."""
     return a
 
 
@@ -179,96 +192,115 @@ class Double:
 
 @wp.func
 def real(c: F, like: Double):
+    """The constant c as a real of the type of ``like``."""
     return type(like)(wp.float64(c))
 
 
 @wp.func
 def real(c: wp.float64, like: Double):
+    """The constant c as a real of the type of ``like``."""
     return type(like)(c)
 
 
 @wp.func
 def add(a: Double, b: Double):
+    """a + b."""
     return type(a)(a.v + b.v)
 
 
 @wp.func
 def add(a: Double, b: F):
+    """a + b."""
     return type(a)(a.v + wp.float64(b))
 
 
 @wp.func
 def add(a: F, b: Double):
+    """a + b."""
     return type(b)(wp.float64(a) + b.v)
 
 
 @wp.func
 def sub(a: Double, b: Double):
+    """a - b."""
     return type(a)(a.v - b.v)
 
 
 @wp.func
 def sub(a: Double, b: F):
+    """a - b."""
     return type(a)(a.v - wp.float64(b))
 
 
 @wp.func
 def sub(a: F, b: Double):
+    """a - b."""
     return type(b)(wp.float64(a) - b.v)
 
 
 @wp.func
 def mul(a: Double, b: Double):
+    """a b."""
     return type(a)(a.v * b.v)
 
 
 @wp.func
 def mul(a: Double, b: F):
+    """a b."""
     return type(a)(a.v * wp.float64(b))
 
 
 @wp.func
 def mul(a: F, b: Double):
+    """a b."""
     return type(b)(wp.float64(a) * b.v)
 
 
 @wp.func
 def div(a: Double, b: Double):
+    """a / b."""
     return type(a)(a.v / b.v)
 
 
 @wp.func
 def div(a: F, b: Double):
+    """a / b."""
     return type(b)(wp.float64(a) / b.v)
 
 
 @wp.func
 def where_neg(c: Double, a: Double, b: Double):
+    """a where c < 0, else b (also where c is NaN)."""
     return type(a)(wp.where(c.v < wp.float64(0.0), a.v, b.v))
 
 
 @wp.func
 def any_neg(c: Double):
+    """Whether c < 0 in any world of the group."""
     return c.v < wp.float64(0.0)
 
 
 @wp.func
 def fma(a: Double, b: Double, c: Double):
+    """a b + c, rounded once."""
     return type(a)(_fma64(a.v, b.v, c.v))
 
 
 @wp.func
 def fnma(a: Double, b: Double, c: Double):
+    """c - a b, rounded once."""
     return type(a)(_fma64(-a.v, b.v, c.v))
 
 
 @wp.func
 def sqrt_(a: Double):
+    """Square root."""
     return type(a)(wp.sqrt(a.v))
 
 
 @wp.func
 def round_(a: Double):
+    """Nearest integer, ties to even."""
     return type(a)(wp.rint(a.v))
 
 
@@ -277,6 +309,7 @@ SMALL = wp.constant(wp.float64(1.0e-3))
 
 @wp.func
 def sin_ratio(u: Double):
+    """sin(x)/x with x = sqrt(u)."""
     x = wp.sqrt(u.v)
     if u.v > SMALL:
         return type(u)(wp.sin(x) / x)
@@ -285,11 +318,13 @@ def sin_ratio(u: Double):
 
 @wp.func
 def cos_root(u: Double):
+    """cos(x) with x = sqrt(u)."""
     return type(u)(wp.cos(wp.sqrt(u.v)))
 
 
 @wp.func
 def atan_ratio(u: Double):
+    """atan(x)/x with x = sqrt(u), u in [0, 1]."""
     x = wp.sqrt(u.v)
     if u.v > wp.float64(1.0e-12):
         return type(u)(wp.atan(x) / x)
@@ -298,11 +333,13 @@ def atan_ratio(u: Double):
 
 @wp.func
 def lane_neg(c: Double, i: int):
+    """Whether c < 0 in world i of the group."""
     return c.v < wp.float64(0.0)
 
 
 @wp.func
 def lane(a: Double, i: int):
+    """Value of world i of the group."""
     return a.v
 
 
@@ -362,98 +399,122 @@ for _W in (8, 16):
 
     @wp.func
     def real(c: F, like: Lanes):
+        """The constant c as a real of the type of ``like``."""
         return type(like)(type(like.v)(c))
 
     @wp.func
     def real(c: wp.float64, like: Lanes):
+        """The constant c as a real of the type of ``like``."""
         return type(like)(type(like.v)(wp.float32(c)))
 
     @wp.func
     def add(a: Lanes, b: Lanes):
+        """a + b."""
         return type(a)(_add(a.v, b.v))
 
     @wp.func
     def add(a: Lanes, b: F):
+        """a + b."""
         return type(a)(_add(a.v, type(a.v)(b)))
 
     @wp.func
     def add(a: F, b: Lanes):
+        """a + b."""
         return type(b)(_add(type(b.v)(a), b.v))
 
     @wp.func
     def sub(a: Lanes, b: Lanes):
+        """a - b."""
         return type(a)(_sub(a.v, b.v))
 
     @wp.func
     def sub(a: Lanes, b: F):
+        """a - b."""
         return type(a)(_sub(a.v, type(a.v)(b)))
 
     @wp.func
     def sub(a: F, b: Lanes):
+        """a - b."""
         return type(b)(_sub(type(b.v)(a), b.v))
 
     @wp.func
     def mul(a: Lanes, b: Lanes):
+        """a b."""
         return type(a)(_mul(a.v, b.v))
 
     @wp.func
     def mul(a: Lanes, b: F):
+        """a b."""
         return type(a)(_mul(a.v, type(a.v)(b)))
 
     @wp.func
     def mul(a: F, b: Lanes):
+        """a b."""
         return type(b)(_mul(type(b.v)(a), b.v))
 
     @wp.func
     def div(a: Lanes, b: Lanes):
+        """a / b."""
         return type(a)(_div(a.v, b.v))
 
     @wp.func
     def div(a: F, b: Lanes):
+        """a / b."""
         return type(b)(_div(type(b.v)(a), b.v))
 
     @wp.func
     def where_neg(c: Lanes, a: Lanes, b: Lanes):
+        """a where c < 0, else b (also where c is NaN)."""
         return type(a)(_where(c.v, a.v, b.v))
 
     @wp.func
     def any_neg(c: Lanes):
+        """Whether c < 0 in any world of the group."""
         return _any(c.v)
 
     @wp.func
     def fma(a: Lanes, b: Lanes, c: Lanes):
+        """a b + c, rounded once."""
         return type(a)(_fma(a.v, b.v, c.v))
 
     @wp.func
     def fnma(a: Lanes, b: Lanes, c: Lanes):
+        """c - a b, rounded once."""
         return type(a)(_fnma(a.v, b.v, c.v))
 
     @wp.func
     def sqrt_(a: Lanes):
+        """Square root."""
         return type(a)(_sqrt(a.v))
 
     @wp.func
     def round_(a: Lanes):
+        """Nearest integer, ties to even."""
         return type(a)(_round(a.v))
 
     @wp.func
     def sin_ratio(u: Lanes):
+        """sin(x)/x with x = sqrt(u)."""
         return series_sine(u)
 
     @wp.func
     def cos_root(u: Lanes):
+        """cos(x) with x = sqrt(u)."""
         return series_cosine(u)
 
     @wp.func
     def atan_ratio(u: Lanes):
+        """atan(x)/x with x = sqrt(u), u in [0, 1]."""
         return series_atan(u)
 
     @wp.func
     def lane_neg(c: Lanes, i: int):
+        """Whether c < 0 in world i of the group."""
         return c.v[i] < 0.0
 
     @wp.func
     def lane(a: Lanes, i: int):
+        """Value of world i of the group."""
         return a.v[i]
 
 

@@ -77,6 +77,8 @@ def cloud_types(width: int = 1) -> SimpleNamespace:
 
     @wp.struct
     class Clouds:
+        """Memory of the clouds of some worlds."""
+
         point: wp.array4d(dtype=Real)
         flat: wp.array4d(dtype=wp.float32)
         near: wp.array2d(dtype=Real)

@@ -21,6 +21,8 @@ def _model_struct(t: SimpleNamespace) -> Any:
 
     @wp.struct
     class Model:
+        """What does not change while worlds move."""
+
         count: wp.array(dtype=int)
         parent: wp.array2d(dtype=int)
         kind: wp.array2d(dtype=int)
@@ -49,6 +51,8 @@ def _state_structs(t: SimpleNamespace) -> dict[str, Any]:
 
     @wp.struct
     class State:
+        """Joint coordinates, velocities and whether a world is alive."""
+
         coordinate: wp.array2d(dtype=Quat)
         velocity: wp.array2d(dtype=Vec)
         alive: wp.array(dtype=Real)
@@ -59,6 +63,8 @@ def _state_structs(t: SimpleNamespace) -> dict[str, Any]:
 
     @wp.struct
     class Load:
+        """Forces at points of links, efforts at joints."""
+
         force: wp.array2d(dtype=Vec)
         point: wp.array2d(dtype=Vec)
         effort: wp.array2d(dtype=Vec)
@@ -72,6 +78,8 @@ def _scratch_struct(t: SimpleNamespace) -> Any:
 
     @wp.struct
     class Scratch:
+        """The step's working memory."""
+
         pose: wp.array2d(dtype=Quat)
         r: wp.array2d(dtype=Vec)
         relative: wp.array2d(dtype=Vec)
