@@ -42,7 +42,7 @@ class Diagnose:
         from ..learn.cases.case import load_case
         from ..learn.gap.diagnosis import Settings
 
-        names = tuple(n for entry in self.effects for n in entry.split(",") if n)
+        names = tuple(name for entry in self.effects for name in entry.split(","))
         settings = Settings(names, self.tolerance, self.max_effects, self.seed)
         settings.check()
         case = load_case(self.case)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from ..sim.base.console import bar, shown, start_warp, warn
-from ..sim.base.errors import InputError
+from ..sim.base.errors import InputError, check_seed
 from ..sim.base.files import output_folder
 from ..sim.base.host import check_memory
 from .exit_codes import ExitCode
@@ -124,7 +124,7 @@ def _check(options: Forest) -> None:
     need(options.count >= 1, "--count", options.count, "1 or more")
     need(options.order is None or options.order >= 0, "--order", options.order, "0 or more")
     need(0.0 <= options.noise <= 1.0, "--noise", options.noise, "0 to 1")
-    need(options.seed >= 0, "--seed", options.seed, "0 or more")
+    check_seed("", options.seed)
     need(len(options.format) > 0, "--format", "none", "at least one of mjcf, urdf, glb, usd")
     installed = "usd" not in options.format or find_spec("pxr") is not None
     need(installed, "--format", "usd without the package usd-core", "with it: pip install 'bough[usd]'")

@@ -13,7 +13,7 @@ from ..learn.policies.ppo_settings import preset_of
 from ..learn.tasks.registry import TaskRegistry, builtin_tasks
 from ..learn.tasks.task import require_rsl_rl, unseen_seed
 from ..sim.base.console import bar, shown, start_warp
-from ..sim.base.errors import InputError
+from ..sim.base.errors import InputError, check_seed
 from ..sim.base.files import output_folder
 from .exit_codes import ExitCode
 
@@ -103,8 +103,7 @@ class Play:
             raise InputError("play", "--fps", f"{self.fps:g}", "above 0, up to 50")
         if self.seconds is not None and not self.seconds > 0.0:
             raise InputError("play", "--seconds", f"{self.seconds:g}", "above 0")
-        if self.seed < 0:
-            raise InputError("play", "--seed", str(self.seed), "0 or more")
+        check_seed("play", self.seed)
 
     def _cast(self, registry: TaskRegistry) -> tuple[Task, Policy]:
         """Return the task with one world, and who acts in it."""

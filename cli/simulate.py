@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import tyro
 
 from ..sim.base.console import shown, start_warp, warn
-from ..sim.base.errors import InputError
+from ..sim.base.errors import InputError, check_seed
 from ..sim.base.files import check_regular, output_folder, read_text
 from ..sim.engine.stepping import Stepping
 from ..sim.formats.load import load_mechanism
@@ -153,7 +153,7 @@ def check(options: Simulate) -> None:
     need(1 <= options.substeps <= MOST_SUBSTEPS, "--substeps", options.substeps, f"1 to {MOST_SUBSTEPS}")
     need(options.worlds is None or options.worlds >= 1, "--worlds", options.worlds, "1 or more")
     need(0.0 <= options.bend <= math.pi, "--bend", options.bend, "0 to pi")
-    need(options.seed >= 0, "--seed", options.seed, "0 or more")
+    check_seed("", options.seed)
     need(options.qpos is None or options.bend == 0.0, "--bend", f"{options.bend:g} and --qpos", "one of the two")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
-from ...sim.base.errors import InputError
+from ...sim.base.errors import InputError, check_seed
 from ...sim.base.types import Array
 from ..cases.case import BranchCase, JointCase
 from . import TOLERANCE
@@ -42,8 +42,7 @@ class Settings:
             raise InputError("diagnose", "--tolerance", f"{self.tolerance:g}", "a share of the motion, 0 to 1")
         if not 1 <= self.max_effects <= 4:
             raise InputError("diagnose", "--max-effects", str(self.max_effects), "1 to 4")
-        if self.seed < 0:
-            raise InputError("diagnose", "--seed", str(self.seed), "0 or more")
+        check_seed("diagnose", self.seed)
         from ...sim.effects import effect_of
 
         for name in self.effects:

@@ -13,7 +13,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.progress import Progress
 
-from ...sim.base.errors import InputError
+from ...sim.base.errors import InputError, check_seed
+from ...sim.base.files import check_output
 from ..cases.case import load_case
 from ..hidden import NAMES, Spec, exam_plan, hide
 from ..reports.figures import png
@@ -44,7 +45,9 @@ def hold(out: Path, *, cases: int, noise: float, seed: int, jobs: int) -> str:
     Raises:
         InputError: A number cannot be.
     """
-    for name, value, low in (("cases", cases, 1), ("jobs", jobs, 1), ("seed", seed, 0)):
+    check_seed("exam", seed)
+    check_output(out)
+    for name, value, low in (("cases", cases, 1), ("jobs", jobs, 1)):
         if value < low:
             raise InputError("exam", f"--{name}", str(value), f"{low} or more")
     if not 0.0 < noise < 1.0:

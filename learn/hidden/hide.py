@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...sim.base.errors import InputError
+from ...sim.base.errors import InputError, check_seed
 from ...sim.base.mujoco_log import without_log
 from .drive import drive
 from .names import NAMES, OUTSIDE, RECIPES, equivalents
@@ -80,7 +80,7 @@ def hide(
         InputError: A name or a number is not allowed, or the folder cannot be written.
     """
     names = (*effects, *([outside] if outside else []))
-    _check(effects, outside, joint, segments, noise, rate, samples, size)
+    _check(seed, effects, outside, joint, segments, noise, rate, samples, size)
     experiment = Experiment(seed, segments, rate, samples, reach)
     options: dict[str, Any] = {"sub": sub, "wood": wood}
     with without_log():  # a strength that is too great is found out by its numbers
@@ -165,9 +165,10 @@ def _answer(
 
 
 def _check(
-    effects: Sequence[str], outside: str | None, joint: int | None, segments: int, noise: float,
+    seed: int, effects: Sequence[str], outside: str | None, joint: int | None, segments: int, noise: float,
     rate: float | None, samples: int, size: float | None,
 ) -> None:  # fmt: skip
+    check_seed(_WHO, seed)
     for name in effects:
         if name not in NAMES:
             raise InputError(_WHO, "--effects", repr(name), ", ".join(NAMES))

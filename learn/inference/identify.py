@@ -13,6 +13,7 @@ import torch
 
 from ...sim.base.errors import InputError
 from ...sim.base.files import output_folder
+from ...sim.base.host import check_memory
 from ...sim.base.types import Array
 from ...version import __version__
 from ..cases.case import BranchCase, JointCase, load_case
@@ -170,6 +171,7 @@ def run(
     Raises:
         InputError: The settings do not fit the case.
     """
+    _check_memory(case, settings)
     clock = time.perf_counter()
     work = Identification(case, settings, checkpoint, progress)
     every, parts, predicting = list(range(len(case.trajectories))), [], 0.0
@@ -192,6 +194,14 @@ def run(
     return Outcome(
         case, settings, work.noise, work.sigma, train, test, posterior, prediction, work.world_steps, seconds
     )
+
+
+def _check_memory(case: BranchCase | JointCase, settings: Settings) -> None:
+    """Raise `InputError` where the channels of all particles, float32, do not fit into memory."""
+    channels = 6 if isinstance(case, BranchCase) else 3 * len(case.joints)
+    samples = sum(len(t.t) for t in case.trajectories)
+    what = f"{settings.particles} particles on {samples} samples"
+    check_memory("--particles", what, 4.0 * channels * samples * settings.particles)
 
 
 def _check_moves(case: BranchCase | JointCase, j: int, recording: Recording) -> None:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
-from ...sim.base.errors import InputError
+from ...sim.base.errors import InputError, check_seed
 
 if TYPE_CHECKING:
     from ..systems.acting import Acting
@@ -72,7 +72,8 @@ class Settings:
 
     def check(self) -> None:
         """Raise `InputError` for numbers that cannot be."""
-        for name, low in (("particles", 8), ("iterations", 10), ("seed", 0)):
+        check_seed("identify", self.seed)
+        for name, low in (("particles", 8), ("iterations", 10)):
             if getattr(self, name) < low:
                 raise InputError("identify", f"--{name}", str(getattr(self, name)), f"{low} or more")
         if self.cv < 0 or self.cv == 1:

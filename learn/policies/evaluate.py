@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from ...sim.base.errors import InputError
+from ...sim.base.errors import InputError, check_seed
 from ..runs.folder import CONFIG, RunFolder, replace_text
 from ..runs.threads import one_thread
 from ..tasks.registry import TaskRegistry, settings_from
@@ -190,7 +190,8 @@ def evaluate(
     Raises:
         InputError: A number cannot be, or there is no policy to test.
     """
-    for option, value, least in (("--sets", sets, 1), ("--worlds", worlds, 1), ("--seed", seed, 0)):
+    check_seed("evaluate", seed)
+    for option, value, least in (("--sets", sets, 1), ("--worlds", worlds, 1)):
         if value < least:
             raise InputError("evaluate", option, str(value), f"{least} or more")
     folder = RunFolder(path)

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from ...sim.base.console import warn
-from ...sim.base.errors import InputError
+from ...sim.base.errors import InputError, check_seed
 from ...sim.base.files import check_output
 from ...sim.base.host import describe
 from ...version import __version__
@@ -51,8 +51,7 @@ class Plan:
     def check(self) -> None:
         """Raise `InputError` for numbers that cannot be."""
         self.ppo.check()
-        if self.seed < 0:
-            raise InputError("train", "--seed", str(self.seed), "0 or more")
+        check_seed("train", self.seed)
 
 
 class LostError(RuntimeError):

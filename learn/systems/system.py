@@ -107,6 +107,10 @@ def free_of(parameters: Sequence[Parameter], values: torch.Tensor) -> torch.Tens
     return torch.where(log, torch.where(log, values, 1.0).log(), values)
 
 
+#: Bounds beyond it, or below its inverse, leave single precision on the way through the simulator.
+LARGEST = 1e15
+
+
 def bounded(parameters: Sequence[Parameter], box: Sequence[str]) -> tuple[Parameter, ...]:
     """Return the parameters with bounds that a user gives as ``NAME=LOW:HIGH``.
 
@@ -115,7 +119,10 @@ def bounded(parameters: Sequence[Parameter], box: Sequence[str]) -> tuple[Parame
     Raises:
         InputError: An entry is no bound, has its ends swapped, names nothing, or lets a positive parameter vanish.
     """
-    bounds = dict(_bound(text) for text in box)
+    bounds = dict(given := [_bound(text) for text in box])
+    for name in bounds:
+        if [n for n, _ in given].count(name) > 1:
+            raise InputError("--box", name, "bounds twice", "one pair of bounds for a name")
     known = [p.name for p in parameters] + [p.name.split(" ")[0] for p in parameters]
     for name in bounds:
         if name not in known:
@@ -140,5 +147,10 @@ def _within(p: Parameter, ends: tuple[float, float] | None) -> Parameter:
         return p
     if p.scale == "log" and ends[0] <= 0.0:
         raise InputError("--box", p.name, f"a lower end of {ends[0]:g}", "above 0: it is positive")
+    if max(map(abs, ends)) > LARGEST or (p.scale == "log" and ends[0] < 1.0 / LARGEST):
+        found = f"{ends[0]:g} to {ends[1]:g}"
+        raise InputError(
+            "--box", p.name, found, f"numbers between {1.0 / LARGEST:g} and {LARGEST:g}, in single precision"
+        )
     inside = p.typical is not None and ends[0] < p.typical < ends[1]
     return replace(p, low=ends[0], high=ends[1], typical=p.typical if inside else None)

@@ -16,3 +16,13 @@ class InputError(ValueError):
         self.source, self.place, self.found, self.allowed = str(source), place, found, allowed
         parts = [str(source), place, f"found {found}; allowed: {allowed}"]
         super().__init__(" ".join(": ".join(p for p in parts if p).split()))
+
+
+#: Largest seed: generators of torch take 63 bits.
+MOST_SEED = 2**63 - 1
+
+
+def check_seed(source: str, seed: int) -> None:
+    """Raise `InputError` for a ``--seed`` that not every generator of random numbers takes."""
+    if not 0 <= seed <= MOST_SEED:
+        raise InputError(source, "--seed", str(seed), f"0 to {MOST_SEED}")

@@ -150,6 +150,28 @@ def test_mechanisms_that_never_end(bough, tmp_path, name):
     bough("simulate", "link.xml", "--out", "out").refused("link.xml", "a device or a pipe")
 
 
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (("hide", "--seed", -1), ("--seed", "-1")),
+        (("hide", "--seed", 2**64), ("--seed", "0 to 9223372036854775807")),
+        (("forest", "--seed", 2**64), ("--seed",)),
+        (("exam", "--cases", 1, "--seed", -1), ("--seed",)),
+        (("diagnose", "nowhere", "--effects", ","), ("--effects", "''")),
+    ],
+)
+def test_seeds_and_names_that_are_none(bough, command, words):
+    """Refuse seeds that some generator does not take, and an empty name in a list."""
+    bough(*command, "--out", "out").refused(*words)
+
+
+def test_exams_below_a_file_are_refused(bough, tmp_path):
+    """Say that the folder cannot be made, before a case is."""
+    (tmp_path / "taken").write_text("mine")
+    for out in ("taken", "taken/below"):
+        bough("exam", "--cases", 1, "--out", out).refused("taken", "a folder, or a path where one can be made")
+
+
 def test_sizes_beyond_memory(bough):
     """Say what a billion trees or worlds would take instead of taking it."""
     none = ("--picture-width", 0, "--out", "out")
