@@ -129,7 +129,7 @@ def test_resume_without_anything_to_resume_begins(inside, brief):
         (("--particles", 9), ("--particles", "two for each")),
         (("--temperature", 0), ("--temperature",)),
         (("--box", "stiffness=1e-300:1e300"), ("--box", "1e-300 to 1e+300", "between 1e-15 and 1e+15")),
-        (("--box", "stiffness=5:200", "--box", "stiffness=6:100"), ("--box", "bounds twice")),
+        (("--box", "stiffness=5:200", "stiffness=6:100"), ("--box", "bounds twice")),
         (("--seed", 2**64), ("--seed", str(2**64), "0 to 9223372036854775807")),
         (("--seed", -1), ("--seed", "-1")),
         (("--particles", 10**9), ("1000000000 particles", "GiB")),
