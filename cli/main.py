@@ -67,8 +67,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"bough: {error}", file=sys.stderr)
         return ExitCode.BAD_INPUT
     except KeyboardInterrupt:
-        print("bough: interrupted; nothing was written", file=sys.stderr)
-        return ExitCode.INTERRUPTED
+        return _interrupted()
+    except ImportError as error:
+        if not _comes_of_ctrl_c(error):
+            raise
+        return _interrupted()
     except OSError as error:  # what reading and writing did not foresee: a full disk, a folder closed to us
         print(f"bough: {error.filename or command.__class__.__name__.lower()}: {error.strerror}", file=sys.stderr)
         return ExitCode.BAD_INPUT if isinstance(error, PermissionError) else ExitCode.FAILED
@@ -80,6 +83,18 @@ def _run(command: Command) -> int:
 
         return simulate_case(command)
     return command.run()
+
+
+def _interrupted() -> int:
+    print("bough: interrupted; nothing was written", file=sys.stderr)
+    return ExitCode.INTERRUPTED
+
+
+def _comes_of_ctrl_c(error: BaseException | None) -> bool:
+    """Return whether Ctrl-C is behind an error: while a compiled module is imported it becomes an ImportError."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _show_warning(message: Warning | str, *_place: object, **_options: object) -> None:

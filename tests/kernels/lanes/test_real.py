@@ -5,12 +5,16 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from bough.kernels.lanes.algebra import (
+from bough.kernels.lanes.algebra import (  # noqa: F401, Warp resolves operators on structs to add, div, mul and sub
     about_axis,
+    add,
+    div,
     exponential,
     half_angle_log,
+    mul,
     renormalised,
     shifted_inverse,
+    sub,
     types_of,
 )
 from bough.kernels.lanes.real import (

@@ -1,0 +1,33 @@
+"""What the command line makes of errors that commands raise."""
+
+import pytest
+from bough.cli import main as module
+from bough.cli.exit_codes import ExitCode
+from bough.cli.info import Info
+
+
+def raising(error, cause=None):
+    """Return a command's ``run`` that raises."""
+
+    def run(_self):
+        raise error from cause
+
+    return run
+
+
+def test_ctrl_c_while_a_module_is_imported(monkeypatch, capsys):
+    """Exit with 130 and one line where Ctrl-C has become an ImportError on its way; leave other ImportErrors alone."""
+    monkeypatch.setattr(Info, "run", raising(ImportError("initialization failed"), KeyboardInterrupt()))
+    assert module.main(["info"]) == ExitCode.INTERRUPTED == 130
+    assert capsys.readouterr().err == "bough: interrupted; nothing was written\n"
+    monkeypatch.setattr(Info, "run", raising(ImportError("initialization failed"), OSError()))
+    with pytest.raises(ImportError):
+        module.main(["info"])
+
+
+@pytest.mark.parametrize(("error", "code"), [(OSError(28, "No space left"), 1), (PermissionError(13, "closed"), 2)])
+def test_faults_of_the_machine(monkeypatch, capsys, error, code):
+    """Tell a full disk (1) from a folder that is closed to the user (2), each in one line."""
+    monkeypatch.setattr(Info, "run", raising(error))
+    assert module.main(["info"]) == code
+    assert capsys.readouterr().err == f"bough: info: {error.strerror}\n"
