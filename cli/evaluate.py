@@ -11,6 +11,7 @@ import tyro
 from ..learn.tasks.registry import TaskRegistry, builtin_tasks
 from ..learn.tasks.task import require_rsl_rl
 from ..sim.base.console import bar, shown, start_warp
+from ..sim.base.errors import InputError
 from .exit_codes import ExitCode
 
 
@@ -39,6 +40,8 @@ class Evaluate:
     def run(self, registry: TaskRegistry | None = None) -> int:
         """Evaluate, print the table and say where it is; return the exit code."""
         require_rsl_rl()
+        if not self.run_folder.is_dir():  # said before torch is there
+            raise InputError(self.run_folder, "", "no such folder", "a folder that bough train wrote")
         start_warp()
         registry = registry or builtin_tasks()
         from ..learn.policies.evaluate import JSON, evaluate, table

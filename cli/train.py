@@ -14,7 +14,7 @@ from ..learn.policies.ppo_settings import PRESETS, Preset, preset_of
 from ..learn.tasks.registry import TaskRegistry, builtin_tasks
 from ..learn.tasks.task import require_rsl_rl
 from ..sim.base.console import bar, shown, start_warp, warn
-from ..sim.base.errors import InputError
+from ..sim.base.errors import InputError, check_seed
 from .exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ class Train:
     def run(self, registry: TaskRegistry | None = None) -> int:
         """Train, say what came out and where the report is; return the exit code."""
         require_rsl_rl()
+        self._check()
         start_warp()
         registry = registry or builtin_tasks()
         from ..learn.policies.train import LostError, train, warn_of_differences
@@ -82,6 +83,12 @@ class Train:
         if processes.first:
             _tell(trainer)
         return ExitCode.DONE
+
+    def _check(self) -> None:
+        """Raise `InputError` for numbers that cannot be, before torch is there."""
+        check_seed("train", self.seed or 0)
+        given = {"num_envs": self.num_envs, "iterations": self.iterations}
+        replace(PRESETS[self.preset or "cpu"], **{k: v for k, v in given.items() if v is not None}).check()
 
     def _fresh(self, registry: TaskRegistry, processes: Processes) -> Plan:
         """Return the plan of a new run."""

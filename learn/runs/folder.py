@@ -8,6 +8,7 @@ import io
 import json
 import os
 import shutil
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import torch
 from ...sim.base.errors import InputError
 from ...sim.base.files import read_text
 from .processes import Processes
-from .schema import CHECKPOINT_FORMAT, FORMAT, Manifest, RunRecord, check_finite, read_record
+from .schema import CHECKPOINT_FORMAT, FORMAT, Manifest, RunRecord, read_record
 
 CONFIG, METRICS_FILE, CHECKPOINTS, MANIFEST = "config.json", "metrics.csv", "checkpoints", "manifest.json"
 MODEL = "model"
@@ -196,6 +197,19 @@ class CheckpointFolder:
         state = self.load(MODEL)
         check_finite(self.path / f"{MODEL}.pt", state)
         return state
+
+
+def check_finite(file: Path, state: object, place: str = "") -> None:
+    """Raise `InputError` for the first number of a state (nested dicts and lists of tensors) that is not finite."""
+    if isinstance(state, torch.Tensor):
+        if state.is_floating_point() and not bool(torch.isfinite(state).all()):
+            raise InputError(file, place, "a number that is not finite", "a policy as bough train leaves it")
+    elif isinstance(state, Mapping):
+        for name, value in state.items():
+            check_finite(file, value, f"{place}.{name}" if place else str(name))
+    elif isinstance(state, Sequence) and not isinstance(state, str):
+        for k, value in enumerate(state):
+            check_finite(file, value, f"{place}[{k}]")
 
 
 def _write_state(folder: Path, name: str, state: dict[str, Any]) -> None:

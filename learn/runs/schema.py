@@ -1,13 +1,11 @@
-"""What the JSON files of a run folder may hold, and what a state may: checked once, for all who read them."""
+"""What the JSON files of a run folder may hold: checked once, for all who read them, without torch."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-import torch
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ...sim.base.errors import InputError
@@ -90,19 +88,6 @@ def validated(adapter: TypeAdapter[Any], values: Any, source: object) -> Any:
         raise InputError(
             str(source), place, _short(first["input"]), first["msg"].removeprefix("Input should be ")
         ) from None
-
-
-def check_finite(file: Path, state: object, place: str = "") -> None:
-    """Raise `InputError` for the first number of a state (nested dicts and lists of tensors) that is not finite."""
-    if isinstance(state, torch.Tensor):
-        if state.is_floating_point() and not bool(torch.isfinite(state).all()):
-            raise InputError(file, place, "a number that is not finite", "a policy as bough train leaves it")
-    elif isinstance(state, Mapping):
-        for name, value in state.items():
-            check_finite(file, value, f"{place}.{name}" if place else str(name))
-    elif isinstance(state, Sequence) and not isinstance(state, str):
-        for k, value in enumerate(state):
-            check_finite(file, value, f"{place}[{k}]")
 
 
 def _short(value: object) -> str:

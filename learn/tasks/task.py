@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ...sim.base.errors import InputError
@@ -67,10 +68,9 @@ class Task(Protocol):
 
 def require_rsl_rl() -> None:
     """Raise `InputError` where the optional part that training needs is not installed."""
-    try:
-        import rsl_rl.env  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise InputError("bough", "", f"no {error.name}", "pip install 'bough[train]'") from None
+    for name in ("rsl_rl", "tensordict"):
+        if find_spec(name) is None:
+            raise InputError("bough", "", f"no {name}", "pip install 'bough[train]'")
 
 
 def task_seed(seed: int, rank: int) -> int:

@@ -415,7 +415,7 @@ def test_says_which_extra_is_missing():
         "        print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
-    assert done.stdout == "bough: found no rsl_rl.env; allowed: pip install 'bough[train]'\n" * 3
+    assert done.stdout == "bough: found no rsl_rl; allowed: pip install 'bough[train]'\n" * 3
 
 
 def test_presets_can_be():
