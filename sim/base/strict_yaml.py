@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import reprlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -147,8 +148,14 @@ def _unit(location: Location) -> str:
 
 
 def _short(value: object) -> str:
-    text = "null" if value is None else repr(value)
+    plain = value is None or isinstance(value, str | int | float)
+    text = "null" if value is None else repr(value) if plain else _SHORT.repr(value)  # aliases may repeat without end
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlist = _SHORT.maxdict = _SHORT.maxtuple = 8
+_SHORT.maxstring = _SHORT.maxother = 60
 
 
 class _Loader(yaml.SafeLoader):

@@ -135,11 +135,15 @@ class Element:
             raise self.error(f"unknown attribute '{unknown[0]}'", " ".join(sorted(allowed.split())))
 
 
+#: Most elements inside one another. MuJoCo takes a minute for a chain of so many bodies, the square of that for more.
+DEEPEST = 5000
+
+
 def read_xml(path: str | Path) -> Element:
     """Read an XML file and return its root element.
 
     Raises:
-        InputError: The file cannot be read or is not well-formed XML; the message names the line.
+        InputError: The file cannot be read, is not well-formed XML or too deep; the message names the line.
     """
     file = Path(path)
     parser = expat.ParserCreate()
@@ -147,6 +151,9 @@ def read_xml(path: str | Path) -> Element:
     stack = [root]
 
     def start(tag: str, attrib: dict[str, str]) -> None:
+        if len(stack) > DEEPEST:
+            found = f"elements nested more than {DEEPEST} deep"
+            raise InputError(file, f"line {parser.CurrentLineNumber}", found, f"{DEEPEST} at most")
         element = Element(tag, attrib, file, parser.CurrentLineNumber)
         stack[-1].children.append(element)
         stack.append(element)

@@ -249,6 +249,8 @@ def _load_yaml(path: str | Path) -> dict:
     """Read a YAML mapping; faults name the line."""
     try:
         fields = yaml.load(read_text(path), Loader=_StrictLoader)
+    except RecursionError:
+        raise InputError(path, "", "YAML that is nested too deeply", "fields of numbers, texts and lists") from None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""

@@ -524,3 +524,13 @@ def test_damaged_files_are_read_or_refused_in_one_line(tmp_path_factory, seed, u
         (load_urdf if urdf else load_mjcf)(path).tree.validate()
     except InputError as e:
         assert "\n" not in str(e)
+
+
+@pytest.mark.parametrize("suffix", ["xml", "urdf"])
+def test_elements_without_end_are_refused(tmp_path, suffix):
+    """Refuse 20,000 elements inside one another before any is compiled, in one line that says where."""
+    file = tmp_path / f"deep.{suffix}"
+    root = "mujoco" if suffix == "xml" else "robot"
+    file.write_text(f"<{root}>" + "<body>\n" * 20_000 + "</body>" * 20_000 + f"</{root}>")
+    with pytest.raises(InputError, match=rf"deep\.{suffix}: line 5000: found elements nested more than 5000 deep"):
+        load_mjcf(file) if suffix == "xml" else load_urdf(file)
