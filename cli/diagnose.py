@@ -9,6 +9,8 @@ import tyro
 
 from ..learn.gap import TOLERANCE
 from ..sim.base.console import bars, shown, start_warp, warn
+from ..sim.base.errors import check_seed
+from ..sim.base.files import check_output
 from .exit_codes import ExitCode
 
 
@@ -92,6 +94,8 @@ class Exam:
 
     def run(self) -> int:
         """Hold the exam and print its table."""
+        check_seed("exam", self.seed)  # said before torch is there
+        check_output(self.out)
         from ..learn.gap.exam import hold
 
         print(hold(self.out, cases=self.cases, noise=self.noise, seed=self.seed, jobs=self.jobs))

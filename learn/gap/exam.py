@@ -13,8 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.progress import Progress
 
-from ...sim.base.errors import InputError, check_seed
-from ...sim.base.files import check_output
+from ...sim.base.errors import InputError
 from ..cases.case import load_case
 from ..hidden import NAMES, Spec, exam_plan, hide
 from ..reports.figures import png
@@ -45,8 +44,6 @@ def hold(out: Path, *, cases: int, noise: float, seed: int, jobs: int) -> str:
     Raises:
         InputError: A number cannot be.
     """
-    check_seed("exam", seed)
-    check_output(out)
     for name, value, low in (("cases", cases, 1), ("jobs", jobs, 1)):
         if value < low:
             raise InputError("exam", f"--{name}", str(value), f"{low} or more")

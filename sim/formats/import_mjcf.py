@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ..base.console import uninterrupted
 from ..base.errors import InputError
 from ..base.mujoco_log import without_log
 from ..base.rotation import axis_angle_quat, quat_matrix, quat_multiply, quat_rotate
@@ -105,9 +106,10 @@ def _compile(source: Source, folder: Path) -> tuple[Any, Any]:
     Raises:
         InputError: MuJoCo refuses the file, or it holds what a tree cannot express.
     """
-    import mujoco  # not needed by those who read no MJCF
+    with uninterrupted():
+        import mujoco  # not needed by those who read no MJCF
 
-    with without_log(), warnings.catch_warnings():
+    with uninterrupted(), without_log(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a simulation, which this is not
         try:
             spec = mujoco.MjSpec.from_string("\n".join(source.lines))

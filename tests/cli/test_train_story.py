@@ -39,11 +39,11 @@ def test_bad_commands_are_refused(bough, tmp_path):
     assert [p.name for p in out.iterdir()] == ["config.json"] and (out / "config.json").read_text() == "{}"
 
 
-def test_models_that_no_worlds_can_be_of(bough, tmp_path):
+def test_models_that_no_worlds_can_be_of(inside, tmp_path):
     """No file, a case of joints, no sizes, wood too stiff to push, a faulty effect; nothing is written."""
 
     def refused(*words, model="model.yaml"):
-        bough("train", "powerline", *TINY, "--model", model, "--out", "run").refused(*words)
+        inside("train", "powerline", *TINY, "--model", model, "--out", "run").refused(*words)
         assert not Path("run").exists()
 
     refused("model.yaml", "no such file")
