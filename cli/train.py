@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from ..learn.policies.ppo_settings import PRESETS, Preset, preset_of
+from ..learn.policies.ppo_settings import PRESETS, PPOSettings, Preset, preset_of
 from ..learn.tasks.registry import TaskRegistry, builtin_tasks
 from ..learn.tasks.task import require_rsl_rl
 from ..sim.base.console import bar, shown, start_warp, warn
@@ -87,8 +87,12 @@ class Train:
     def _check(self) -> None:
         """Raise `InputError` for numbers that cannot be, before torch is there."""
         check_seed("train", self.seed or 0)
-        given = {"num_envs": self.num_envs, "iterations": self.iterations}
-        replace(PRESETS[self.preset or "cpu"], **{k: v for k, v in given.items() if v is not None}).check()
+        self._sized(PRESETS[self.preset or "cpu"]).check()
+
+    def _sized(self, own: PPOSettings) -> PPOSettings:
+        """Return a preset with the sizes that were given."""
+        worlds = own.num_envs if self.num_envs is None else self.num_envs
+        return replace(own, num_envs=worlds, iterations=own.iterations if self.iterations is None else self.iterations)
 
     def _fresh(self, registry: TaskRegistry, processes: Processes) -> Plan:
         """Return the plan of a new run."""
@@ -97,9 +101,7 @@ class Train:
         registry.check_name(self.task)
         device = processes.device(self.device)
         preset = self.preset or preset_of(device)
-        own = PRESETS[preset]
-        worlds = own.num_envs if self.num_envs is None else self.num_envs
-        ppo = replace(own, num_envs=worlds, iterations=own.iterations if self.iterations is None else self.iterations)
+        ppo = self._sized(PRESETS[preset])
         settings = registry.without(registry.presets[preset], self._left_out)
         if self.model is not None:
             settings = registry.of_model(settings, self.model)
