@@ -86,6 +86,9 @@ def _run(command: Command) -> int:
 
 
 def _interrupted() -> int:
+    # Ctrl-C inside exec of a text (as dataclasses do while they are imported) leaves a mark, for which CPython ends by
+    # the signal instead of our exit code, whoever has caught it; the next exec of a text removes it (bpo-1054041)
+    exec("")
     print("bough: interrupted; nothing was written", file=sys.stderr)
     return ExitCode.INTERRUPTED
 

@@ -1,5 +1,8 @@
 """What the command line makes of errors that commands raise."""
 
+import subprocess
+import sys
+
 import pytest
 from bough.cli import main as module
 from bough.cli.exit_codes import ExitCode
@@ -23,6 +26,21 @@ def test_ctrl_c_while_a_module_is_imported(monkeypatch, capsys):
     monkeypatch.setattr(Info, "run", raising(ImportError("initialization failed"), OSError()))
     with pytest.raises(ImportError):
         module.main(["info"])
+
+
+def test_ctrl_c_inside_an_exec_ends_with_130(tmp_path):
+    """Exit with 130, not by the signal, where Ctrl-C came while a text was executed, as dataclasses do."""
+    (tmp_path / "pressed.py").write_text(
+        "import sys\n"
+        "from bough.cli import main\n"
+        "from bough.cli.info import Info\n"
+        "def run(_self):\n"
+        "    exec('raise KeyboardInterrupt')\n"
+        "Info.run = run\n"
+        "sys.exit(main.main(['info']))\n"
+    )
+    done = subprocess.run([sys.executable, "-m", "pressed"], capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    assert (done.returncode, done.stderr) == (130, "bough: interrupted; nothing was written\n")
 
 
 @pytest.mark.parametrize(("error", "code"), [(OSError(28, "No space left"), 1), (PermissionError(13, "closed"), 2)])
