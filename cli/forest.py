@@ -201,7 +201,7 @@ def _write_tree(tree: Tree, stem: Path, formats: tuple[Format, ...]) -> None:
 
 
 def _draw(trees: list[Tree], path: Path, options: Forest) -> None:
-    start_warp()
+    start_warp(torch=False)
     from ..sim.pictures.render import render_forest
 
     width = options.picture_width

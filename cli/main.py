@@ -68,13 +68,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return ExitCode.BAD_INPUT
     except KeyboardInterrupt:
         return _interrupted()
-    except ImportError as error:
-        if not _comes_of_ctrl_c(error):
-            raise
-        return _interrupted()
     except OSError as error:  # what reading and writing did not foresee: a full disk, a folder closed to us
         print(f"bough: {error.filename or command.__class__.__name__.lower()}: {error.strerror}", file=sys.stderr)
         return ExitCode.BAD_INPUT if isinstance(error, PermissionError) else ExitCode.FAILED
+    except Exception as error:
+        if not _comes_of_ctrl_c(error):
+            raise
+        return _interrupted()
 
 
 def _run(command: Command) -> int:
@@ -94,7 +94,7 @@ def _interrupted() -> int:
 
 
 def _comes_of_ctrl_c(error: BaseException | None) -> bool:
-    """Return whether Ctrl-C is behind an error: while a compiled module is imported it becomes an ImportError."""
+    """Return whether Ctrl-C is behind an error: while a module is imported it may become another one."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None

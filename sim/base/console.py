@@ -9,6 +9,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 
 
@@ -81,10 +82,16 @@ def warn(text: str) -> None:
     print(f"bough: warning: {text}", file=sys.stderr)
 
 
-def start_warp() -> None:
-    """Initialise Warp without its greeting and without its complaint that there is no GPU; keep what else it says."""
-    import warp as wp
+def start_warp(*, torch: bool = True) -> None:
+    """Import Warp and, where it will be needed, torch; Ctrl-C waits meanwhile.
 
+    Warp is initialised without its greeting and without its complaint that there is no GPU; what else it says is kept.
+    """
+    with uninterrupted():
+        import warp as wp
+
+        if torch:
+            import_module("torch")
     wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
     for line in _said_by_native_code(wp.init):
         if "CUDA driver" not in line:
