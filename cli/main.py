@@ -75,6 +75,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not _comes_of_ctrl_c(error):
             raise
         return _interrupted()
+    finally:
+        # Ctrl-C inside exec of a text (as dataclasses do while they are imported) leaves a mark, for which CPython ends
+        # by the signal instead of our exit code, whoever has caught it; the next exec of a text removes it
+        # (bpo-1054041)
+        exec("")
 
 
 def _run(command: Command) -> int:
@@ -86,9 +91,6 @@ def _run(command: Command) -> int:
 
 
 def _interrupted() -> int:
-    # Ctrl-C inside exec of a text (as dataclasses do while they are imported) leaves a mark, for which CPython ends by
-    # the signal instead of our exit code, whoever has caught it; the next exec of a text removes it (bpo-1054041)
-    exec("")
     print("bough: interrupted; nothing was written", file=sys.stderr)
     return ExitCode.INTERRUPTED
 

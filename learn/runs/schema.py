@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from ...sim.base.errors import InputError
+from ...sim.base.errors import InputError, shortened
 from ...sim.base.files import read_text
 
 FORMAT, CHECKPOINT_FORMAT = "bough-run/1", "bough-checkpoint/1"
@@ -68,7 +68,7 @@ def read_record(file: Path, kind: type[Record], allowed: str) -> Record:
     if not isinstance(found, dict):
         raise InputError(file, "", "JSON without fields", allowed)
     if found.get("format") != (expected := kind.model_fields["format"].annotation.__args__[0]):  # type: ignore[union-attr]
-        raise InputError(file, "format", _short(found.get("format")), expected)
+        raise InputError(file, "format", shortened(found.get("format")), expected)
     return validated(TypeAdapter(kind), found, file)
 
 
@@ -86,10 +86,5 @@ def validated(adapter: TypeAdapter[Any], values: Any, source: object) -> Any:
         if first["type"] == "missing":
             raise InputError(str(source), place, "no such key", "what bough train wrote") from None
         raise InputError(
-            str(source), place, _short(first["input"]), first["msg"].removeprefix("Input should be ")
+            str(source), place, shortened(first["input"]), first["msg"].removeprefix("Input should be ")
         ) from None
-
-
-def _short(value: object) -> str:
-    text = "null" if value is None else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

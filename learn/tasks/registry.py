@@ -111,6 +111,12 @@ def settings_from(kind: type, values: Mapping[str, Any], source: object) -> Any:
     Raises:
         InputError: They are not of this kind, such as another version's.
     """
+    _check_names(kind, values, source)
+    return validated(TypeAdapter(kind), values, source)
+
+
+def _check_names(kind: type, values: Mapping[str, Any], source: object) -> None:
+    """Raise `InputError` for names that settings, or settings inside them, do not have or lack."""
     names = {f.name for f in fields(kind)}
     needed = names - {f.name for f in fields(kind) if f.default == ()}
     if not needed <= set(values) <= names:
@@ -118,5 +124,4 @@ def settings_from(kind: type, values: Mapping[str, Any], source: object) -> Any:
         raise InputError(str(source), odd, "settings of another version", "those of this version of bough")
     for name, hint in get_type_hints(kind).items():
         if isinstance(hint, type) and is_dataclass(hint) and isinstance(values.get(name), Mapping):
-            settings_from(hint, values[name], source)
-    return validated(TypeAdapter(kind), values, source)
+            _check_names(hint, values[name], source)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from pathlib import Path
 
 
@@ -26,3 +27,15 @@ def check_seed(source: str, seed: int) -> None:
     """Raise `InputError` for a ``--seed`` that not every generator of random numbers takes."""
     if not 0 <= seed <= MOST_SEED:
         raise InputError(source, "--seed", str(seed), f"0 to {MOST_SEED}")
+
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlist = _SHORT.maxdict = _SHORT.maxtuple = 8
+_SHORT.maxstring = _SHORT.maxother = 60
+
+
+def shortened(value: object) -> str:
+    """Return a value as an error shows it, sixty characters at most, without writing out all of a large one."""
+    plain = value is None or isinstance(value, str | int | float)
+    text = "null" if value is None else repr(value) if plain else _SHORT.repr(value)  # aliases may repeat without end
+    return text if len(text) <= 60 else text[:57] + "..."

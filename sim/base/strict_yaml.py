@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import reprlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -17,7 +16,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from .errors import InputError
+from .errors import InputError, shortened
 from .files import read_text
 
 Location = Sequence[str | int]
@@ -137,7 +136,7 @@ def _explain(file: YamlFile, error: ErrorDetails) -> InputError:
         return file.error([*location, context["key"]], "a key that this format does not have", error["msg"])
     if error["type"] == "missing":
         return file.error(location, "no such key", f"this key{_unit(location)}")
-    found = context["found"] if "found" in context else _short(error["input"])
+    found = context["found"] if "found" in context else shortened(error["input"])
     allowed = re.sub(r"^Input should be (a valid )?|^\w+ should have ", "", error["msg"])
     return file.error(location, found, allowed + _unit(location))
 
@@ -145,17 +144,6 @@ def _explain(file: YamlFile, error: ErrorDetails) -> InputError:
 def _unit(location: Location) -> str:
     name = next((key for key in reversed(location) if isinstance(key, str)), "")
     return next((f", in {unit}" for suffix, unit in _UNITS.items() if name.endswith(suffix)), "")
-
-
-def _short(value: object) -> str:
-    plain = value is None or isinstance(value, str | int | float)
-    text = "null" if value is None else repr(value) if plain else _SHORT.repr(value)  # aliases may repeat without end
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-_SHORT = reprlib.Repr()
-_SHORT.maxlist = _SHORT.maxdict = _SHORT.maxtuple = 8
-_SHORT.maxstring = _SHORT.maxother = 60
 
 
 class _Loader(yaml.SafeLoader):

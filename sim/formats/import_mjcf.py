@@ -106,10 +106,9 @@ def _compile(source: Source, folder: Path) -> tuple[Any, Any]:
     Raises:
         InputError: MuJoCo refuses the file, or it holds what a tree cannot express.
     """
-    with uninterrupted():
+    with uninterrupted(), without_log(), warnings.catch_warnings():
         import mujoco  # not needed by those who read no MJCF
 
-    with uninterrupted(), without_log(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a simulation, which this is not
         try:
             spec = mujoco.MjSpec.from_string("\n".join(source.lines))
