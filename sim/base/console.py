@@ -7,10 +7,12 @@ import signal
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 
 @contextmanager
@@ -37,22 +39,63 @@ def uninterrupted() -> Iterator[None]:
 def bar(text: str, total: int | None) -> Iterator[Callable[[int], None]]:
     """Show a progress bar on stderr while the block runs; yield the function that advances it by so many.
 
-    Without a ``total`` the bar only shows that something happens, and for how long. It vanishes at the end, and where
-    stderr is no terminal nothing is shown.
+    Without a ``total`` the bar only shows that something happens, and for how long. It vanishes at the end. Where
+    stderr is no terminal, plain lines stand for it (`bars`).
     """
     with bars({text: total}) as advance:
         advance(text, 0)
         yield lambda count: advance(text, count)
 
 
+#: Seconds between plain lines of one stage, and before the first of a command: what is done sooner says nothing.
+EVERY = 10.0
+#: Seconds after which what happens meanwhile has a plain line.
+SOON = 2.0
+#: What is called with a text, and with None once it is over, while a command shows its progress (`meanwhile`).
+_listening: list[Callable[[str | None], None]] = []
+
+
 @contextmanager
 def bars(totals: Mapping[str, int | None]) -> Iterator[Callable[[str, int], None]]:
     """Show progress through stages, a bar each from when it is first reported on; otherwise as `bar`.
+
+    Where stderr is no terminal (a pipe, a log file) every stage has a plain line of its own once the first has taken
+    `EVERY` seconds, and another after each further `EVERY` seconds in which something was done.
 
     Args:
         totals: Steps of every stage by what its bar says; None where the number is not known.
     """
     from rich.console import Console
+
+    console = Console(stderr=True)
+    with _drawn(totals, console) if console.is_terminal else _written(totals) as (advance, listener):
+        _listening.append(listener)
+        try:
+            yield advance
+        finally:
+            _listening.remove(listener)
+
+
+@contextmanager
+def meanwhile(text: str) -> Iterator[None]:
+    """Say under a command's progress what takes so long while the block runs; a program that uses the package is left
+    in peace."""
+    said = _listening[-1] if _listening else None
+    if said is not None:
+        said(text)
+    try:
+        yield
+    finally:
+        if said is not None:
+            said(None)
+
+
+Shown = tuple[Callable[[str, int], None], Callable[[str | None], None]]
+
+
+@contextmanager
+def _drawn(totals: Mapping[str, int | None], console: Any) -> Iterator[Shown]:
+    """Draw bars on a terminal."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeElapsedColumn
     from rich.text import Text
 
@@ -60,10 +103,10 @@ def bars(totals: Mapping[str, int | None]) -> Iterator[Callable[[str, int], None
         def render(self, task: Task) -> Text:
             return Text() if task.total is None else super().render(task)
 
-    console = Console(stderr=True)
     columns = [TextColumn("{task.description}"), BarColumn(), Count(), TimeElapsedColumn()]
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with Progress(*columns, console=console, transient=True) as progress:
         tasks = {name: progress.add_task(name, total=n, visible=False, start=False) for name, n in totals.items()}
+        aside = progress.add_task("", total=None, visible=False, start=False)
         current: list[str] = []
 
         def advance(stage: str, count: int) -> None:
@@ -74,7 +117,41 @@ def bars(totals: Mapping[str, int | None]) -> Iterator[Callable[[str, int], None
                 progress.start_task(tasks[stage])
             progress.update(tasks[stage], advance=count, visible=True)
 
-        yield advance
+        def listen(text: str | None) -> None:
+            progress.reset(aside, start=text is not None, description=text or "", visible=text is not None)
+
+        yield advance, listen
+
+
+@contextmanager
+def _written(totals: Mapping[str, int | None]) -> Iterator[Shown]:
+    """Write plain lines on stderr."""
+    begun = time.monotonic()
+    done = dict.fromkeys(totals, 0)
+    last: list[Any] = [begun, None]  # when something was last written, and about which stage
+    waiting: list[threading.Timer] = []
+
+    def write(text: str) -> None:
+        print(f"bough: {time.monotonic() - begun:.0f} s: {text}", file=sys.stderr, flush=True)
+        last[0] = time.monotonic()
+
+    def advance(stage: str, count: int) -> None:
+        done[stage] += count
+        late = time.monotonic() - last[0] >= EVERY
+        if late or (last[1] is not None and last[1] != stage):
+            last[1] = stage
+            of = "" if totals[stage] is None else f" of {totals[stage]}"
+            write(f"{stage}, {done[stage]}{of}" if done[stage] else stage)
+
+    def listen(text: str | None) -> None:
+        while waiting:
+            waiting.pop().cancel()
+        if text is not None:
+            waiting.append(threading.Timer(SOON, write, [text]))
+            waiting[0].daemon = True
+            waiting[0].start()
+
+    yield advance, listen
 
 
 def warn(text: str) -> None:

@@ -274,7 +274,7 @@ def test_joints_are_drawn_against_their_motion(tmp_path: Path) -> None:
 def test_figures_draw_the_numbers_given() -> None:
     """Heat, bars and loops hold what they were given; names that are too long lose their middle."""
     heat = np.array([[1.0, 8.0], [2.0, np.nan]])
-    drawn = figures.heat_figure(heat, np.ones((2, 2)), np.array([0.0, 1.0, 2.0]), titles=["a", "b" * 60])
+    drawn = figures.heat_figure(heat, np.ones((2, 2)), np.array([0.0, 1.0, 2.0]), titles=["a", "b" * 60], noise=0.1)
     mesh = drawn.axes[0].collections[0].get_array()
     assert mesh.mask.tolist() == [[False, False], [False, True]] and mesh.max() == 8.0
     assert [len(t.get_text()) for t in drawn.axes[0].get_yticklabels()] == [1, figures.LONGEST]
@@ -283,6 +283,8 @@ def test_figures_draw_the_numbers_given() -> None:
     assert [t.get_text() for t in ranks.axes[0].texts] == ["preferred, 90% explained", "50% explained", "0% explained"]
     gap = figures.gap_figure(3.0, 2.0, 1.0, unit="cm")
     assert [p.get_width() for p in gap.axes[0].patches] == [3.0, 2.0, 1.0]
+    repeated = figures.gap_figure(3.0, 2.0, 1e-6, unit="cm", scatter=1.9)
+    assert [p.get_width() for p in repeated.axes[0].patches] == [3.0, 2.0, 1e-6, 1.9]
     force, moved = HISTORY[:, None] * [0.0, -0.6, 0.8], HISTORY[:, None] * [0.0, -0.06, 0.08]
     loops = figures.loops_figure([force], [moved], [0.5 * moved], [2.0 * moved], titles=["run"])
     for line, factor in zip(loops.axes[0].lines, (10.0, 5.0, 20.0), strict=True):
