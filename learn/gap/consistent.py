@@ -26,9 +26,10 @@ Rule = Callable[[Diagnosis], str | None]
 
 def consistent(found: Diagnosis) -> Diagnosis:
     """Return a diagnosis with its sentence, whose numbers do not contradict its verdict; else one that abstains."""
-    broken = () if found.unusable else tuple(said for rule in RULES if (said := rule(found)))
+    lost = _finite(found)  # rules compare numbers
+    broken = (lost,) if lost else tuple(said for rule in RULES if (said := rule(found)))
     if broken or found.unusable:
-        found = _abstaining(found, broken)
+        found = _abstaining(found, () if found.unusable else broken)
     return replace(found, sentence=sentence(found))
 
 
@@ -83,7 +84,7 @@ def grows(found: Diagnosis) -> bool:
 def _finite(d: Diagnosis) -> str | None:
     """Every number that a sentence uses is a number."""
     values = {
-        "held-out RMSE of the base model": d.gap.base, "held-out RMSE of the repaired model": d.gap.repaired,
+        "RMSE of the base model": d.gap.base, "RMSE of the repaired model": d.gap.repaired,
         "noise floor": d.gap.noise_floor, "p-value": d.p_null, "share explained": d.explained,
         "reduced chi-squared": d.base_reduced_chi2,
     }  # fmt: skip
@@ -103,7 +104,10 @@ def _none_but_far(d: Diagnosis) -> str | None:
     """Nothing is missing: then the held-out error is near the noise, or smaller than the tolerance."""
     if d.verdict != "none" or not far(d) or missed(d) <= d.settings.tolerance:
         return None
-    return (f"no candidate is significant, and yet the {error_name(d)} is {_times(d.gap.base, d.gap.noise_floor)} the"
+    best = "no candidate is significant"
+    if d.p_null <= ALARM:
+        best = f"the best candidate (p = {d.p_null:.1g}) changes the motion by only {_percent(d.size)}"
+    return (f"{best}, and yet the {error_name(d)} is {_times(d.gap.base, d.gap.noise_floor)} the"
             f" noise floor and {_percent(missed(d))} of the motion, above the tolerance of"
             f" {_percent(d.settings.tolerance)}")  # fmt: skip
 
@@ -121,8 +125,8 @@ def _named_but_no_better(d: Diagnosis) -> str | None:
     if d.verdict != "effects" or shrinks(d):
         return None
     change = f"grows from {_gap(d, d.gap.base)} to" if grows(d) else "stays at"
-    return (f"{_named(d)} explains {share(d.explained)} of the excess misfit, and yet the {error_name(d)} {change}"
-            f" {_gap(d, d.gap.repaired)} with it")  # fmt: skip
+    return (f"{_named(d)} would be named for {share(d.explained)} of the excess misfit, and yet the {error_name(d)}"
+            f" {change} {_gap(d, d.gap.repaired)} with it")  # fmt: skip
 
 
 def _named_but_nothing_explained(d: Diagnosis) -> str | None:
@@ -148,7 +152,7 @@ def _named_without_numbers(d: Diagnosis) -> str | None:
 
 
 RULES: tuple[Rule, ...] = (
-    _finite, _none_but_large, _none_but_far, _named_but_insignificant, _named_but_no_better,
+    _none_but_large, _none_but_far, _named_but_insignificant, _named_but_no_better,
     _named_but_nothing_explained, _named_without_numbers,
 )  # fmt: skip
 

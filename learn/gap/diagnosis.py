@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -213,9 +214,14 @@ class Diagnosis:
                 "windows_s": [[round(a, 4), round(b, 4)] for _, a, b in self.where.windows],
                 "joints": list(self.where.joints), "regime": self.where.regime,
             },
-            "gap": {"base": self.gap.base, "repaired": self.gap.repaired, "noise_floor": self.gap.noise_floor,
-                    "unit": self.gap.unit, "held_out": self.held_out, "motion": self.swing,
+            "gap": {"base": finite(self.gap.base), "repaired": finite(self.gap.repaired),
+                    "noise_floor": finite(self.gap.noise_floor), "unit": self.gap.unit, "held_out": self.held_out, "motion": self.swing,
                     "replicate_scatter": self.scatter},
-            "p_null": self.p_null, "next_experiment": self.next_experiment, "sentence": self.sentence,
-            "explained": self.explained, "not_understood": list(self.not_understood), "remarks": list(self.remarks),
+            "p_null": finite(self.p_null), "next_experiment": self.next_experiment, "sentence": self.sentence,
+            "explained": finite(self.explained), "not_understood": list(self.not_understood), "remarks": list(self.remarks),
         }  # fmt: skip
+
+
+def finite(x: float) -> float | None:
+    """Return a number as JSON can hold it: None where a simulation diverged."""
+    return x if math.isfinite(x) else None

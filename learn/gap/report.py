@@ -43,8 +43,8 @@ _P_VALUE = "Probability that the best of all candidates fits this well if the ba
 _READ = {"m": (100.0, "cm"), "rad": (math.degrees(1.0), "deg"), "rad_per_s": (math.degrees(1.0), "deg/s")}
 
 
-def content(diagnosis: Diagnosis) -> ReportContent:
-    """Return what the report page shows."""
+def content(diagnosis: Diagnosis, *, drawn: bool = True) -> ReportContent:
+    """Return what the report page shows; without ``drawn`` no figures."""
     with_model = isinstance(diagnosis.case, BranchCase)  # a mechanism of joints has no model file
     return ReportContent(
         title=f"Diagnosis of {diagnosis.case.name}",
@@ -53,7 +53,7 @@ def content(diagnosis: Diagnosis) -> ReportContent:
         numbers=[*_gap(diagnosis), *_effects(diagnosis), *_advice(diagnosis), *_evidence(diagnosis)],
         parameters=_parameters(diagnosis),
         tables=_tables(diagnosis),
-        figures=_figures(diagnosis),
+        figures=_figures(diagnosis) if drawn else [],
         details=_details(diagnosis),
         further=[
             (VERDICT, "the verdict for programs"),
@@ -176,9 +176,10 @@ def _explained(d: Diagnosis) -> list[KeyNumber]:
     """Return the share of the excess that the preferred model explains, none where there is no excess to explain."""
     if not significant(d):
         return []
-    which = "named" if d.verdict == "effects" else "best, not claimed"
-    fitted = " In the recordings that it was fitted to; held-out ones are missed by more." if grows(d) else ""
-    why = f"Of the base model's excess chi-squared, by the {which} model.{fitted}"
+    which = "named effects" if d.verdict == "effects" else "best model, which is not claimed"
+    seen = " In the recordings that it was fitted to; held-out ones are missed by more."
+    fitted = seen if grows(d) and d.held_out else ""
+    why = f"Of the base model's excess chi-squared, by the {which}.{fitted}"
     return [KeyNumber("Explained", share(d.explained), "", why)]
 
 

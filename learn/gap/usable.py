@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -13,9 +14,9 @@ from ..cases.joints import JointSpec
 from ..replay.equation_error import recordings_of, thinned
 from ..replay.recording import Recording
 from ..systems.choose import system_of
-from .models.contest import Batch
+from .models.contest import Batch, Contest
 from .models.fitted import QUIET, FittedModels, Model
-from .models.refit import fit
+from .models.refit import Fits, fit
 from .where import joint_motion
 
 #: Largest noise relative to the rms of the motion.
@@ -77,9 +78,7 @@ def different_plants(fitted: FittedModels, model: Model) -> str | None:
     left = model.chi2 - contest.num_samples
     if count < 2 or fitted.reduced_chi2(model) <= QUIET or (isinstance(case, JointCase) and case.mjcf is not None):
         return None
-    each = torch.zeros(count, dtype=torch.long, device=contest.place)
-    start = fitted.base.fit.batch[each]
-    alone = fit(contest, Batch(start.free, start.active, start.start, torch.eye(count).to(start.free)), SEPARATE_STEPS)
+    alone = _each_alone(contest, fitted.base.fit.batch)
     if float(alone.chi2.sum()) - contest.num_samples > SEPARATE_LEAVE * left:
         return None
     values = contest.values(alone.batch)[:, : contest.num_base].cpu().numpy()
@@ -93,6 +92,21 @@ def different_plants(fitted: FittedModels, model: Model) -> str | None:
                     f" {numbers[high] / numbers[low]:.3g} times the {what} of {second}; make a case of each plant, or"
                     " record again without a change in between")  # fmt: skip
     return None
+
+
+def _each_alone(contest: Contest, base: Batch) -> Fits:
+    """Fit the base model to each of R recordings by itself, from the fit to all and from what it suggests itself."""
+    case, count = contest.case, len(contest.recordings)
+    batch = base[torch.zeros(2 * count, dtype=torch.long, device=contest.place)]
+    batch.weight = torch.eye(count).repeat(2, 1).to(batch.free)
+    if isinstance(case, JointCase):  # swings of another frequency end in false minima from the fit to all
+        for j, t in enumerate(case.trajectories):
+            own = system_of(replace(case, trajectories=(t,), train=None, test=None)).parameters
+            batch.free[count + j, : contest.num_base] = torch.tensor([p.start for p in own]).to(batch.free)
+        batch.free[count:] = batch.free[count:].clamp(contest.low, contest.high)
+    fits = fit(contest, batch, SEPARATE_STEPS)
+    chi2 = fits.chi2.view(2, count)
+    return fits[torch.arange(count, device=contest.place) + count * chi2.argmin(0)]
 
 
 def _rms(r: Recording) -> float:

@@ -53,6 +53,8 @@ PARTS: dict[str, tuple[str, ...]] = {
     "phase": tuple(PHASES), "direction": DIRECTIONS, "amplitude": ("small", "medium", "large"),
     "speed": ("low", "medium", "high"),
 }  # fmt: skip
+#: Regime where no part stands out: true beside an effect that is spread over all of the motion, too.
+NOWHERE = f"nowhere above {CONTRAST} times the noise"
 Labels = list[NDArray[np.str_]]
 
 
@@ -296,7 +298,7 @@ def regime(shares: Sequence[Share]) -> str:
         phrases += [form.format(max(own, key=lambda s: s.ratio).part) for own in [prominent[kind]] if own]
     if text := ", ".join(p for p in phrases if p):
         return text
-    return "everywhere alike" if any(s.ratio > CONTRAST for s in shares) else "nowhere beyond the noise"
+    return "everywhere alike" if any(s.ratio > CONTRAST for s in shares) else NOWHERE
 
 
 def _prominent(shares: Sequence[Share]) -> list[Share]:
