@@ -1,7 +1,7 @@
 """Results of a diagnosis held against each other before anything is written: what contradicts is no verdict.
 
 Verdict, p-value, share explained, size of the effect and held-out error come from different computations: a scan, a
-bootstrap, joint refits, and refits to the training recordings alone. Each may be right by itself and say something else.
+bootstrap, joint refits, and refits to the training recordings alone. Each may be right and say something else.
 A page that names an effect beside a held-out error that grew, or says that nothing is missing beside an error of a
 thousand times the noise, is worse than no verdict. Every rule looks at one such pair and says in words what is not
 understood; one that finds something turns the verdict into ``unknown``.
@@ -96,8 +96,8 @@ def _none_but_large(d: Diagnosis) -> str | None:
     """Nothing is missing: then the p-value is above the alarm, or the effect is smaller than the tolerance."""
     if d.verdict != "none" or d.p_null > ALARM or d.size < d.settings.tolerance:
         return None
-    return (f"an effect is significant (p = {d.p_null:.1g}) and changes the motion by {_percent(d.size)}, which is above"
-            f" the tolerance of {_percent(d.settings.tolerance)}")  # fmt: skip
+    return (f"an effect is significant (p = {d.p_null:.1g}) and changes the motion by {percent(d.size)}, which is above"
+            f" the tolerance of {percent(d.settings.tolerance)}")  # fmt: skip
 
 
 def _none_but_far(d: Diagnosis) -> str | None:
@@ -106,10 +106,10 @@ def _none_but_far(d: Diagnosis) -> str | None:
         return None
     best = "no candidate is significant"
     if d.p_null <= ALARM:
-        best = f"the best candidate (p = {d.p_null:.1g}) changes the motion by only {_percent(d.size)}"
+        best = f"the best candidate (p = {d.p_null:.1g}) changes the motion by only {percent(d.size)}"
     return (f"{best}, and yet the {error_name(d)} is {_times(d.gap.base, d.gap.noise_floor)} the"
-            f" noise floor and {_percent(missed(d))} of the motion, above the tolerance of"
-            f" {_percent(d.settings.tolerance)}")  # fmt: skip
+            f" noise floor and {percent(missed(d))} of the motion, above the tolerance of"
+            f" {percent(d.settings.tolerance)}")  # fmt: skip
 
 
 def _named_but_insignificant(d: Diagnosis) -> str | None:
@@ -175,11 +175,11 @@ def _none(d: Diagnosis) -> str:
     numbers = f"{error_name(d)} {_gap(d, d.gap.base)}, noise floor {d.gap.noise_floor:.3g}"
     if not significant(d) and not far(d):
         return f"No missing effect is detectable in these data: {numbers}."
-    limit = f"below the tolerance of {_percent(d.settings.tolerance)} of the motion"
+    nothing = f"Nothing larger than the tolerance of {percent(d.settings.tolerance)} of the motion is missing"
     if d.p_null <= ALARM:
-        best = f"the best candidate changes the motion by {_percent(d.size)} (p = {d.p_null:.1g}; {numbers})"
-        return f"What is missing is {limit}: {best}."
-    return f"What is missing is {limit}: {numbers}, a misfit of {_percent(missed(d))} of the motion."
+        best = f"the best candidate changes the motion by {percent(d.size)} (p = {d.p_null:.1g}; {numbers})"
+        return f"{nothing}: {best}."
+    return f"{nothing}: {numbers}, a misfit of {percent(missed(d))} of the motion."
 
 
 def _unknown(d: Diagnosis) -> str:
@@ -197,8 +197,8 @@ def _unknown(d: Diagnosis) -> str:
 
 def _effects(d: Diagnosis) -> str:
     left = ""
-    if d.gap.repaired > FAR * d.gap.noise_floor:
-        left = f"; the rest, {_times(d.gap.repaired, d.gap.noise_floor)} that, is not explained"
+    if d.gap.repaired > FAR * max(d.gap.noise_floor, d.scatter or 0.0):
+        left = f"; what is left, {percent(d.gap.repaired / max(d.swing, 1e-300))} of the motion, is not explained"
     adding = "adding it" if len(d.effects) == 1 else "adding them"
     return (f"The model lacks {_named(d)}: {adding} reduces the {error_name(d)} from {d.gap.base:.3g} to"
             f" {_gap(d, d.gap.repaired)} (noise floor {d.gap.noise_floor:.3g}{left}).")  # fmt: skip
@@ -227,9 +227,11 @@ def spoken(unit: str) -> str:
     return unit.replace("_per_", "/").replace("_", " ")
 
 
-def _percent(x: float) -> str:
-    return f"{100.0 * x:.2g} %" if x < 0.1 else f"{100.0 * x:.0f} %"
+def percent(x: float) -> str:
+    """Return a share in percent, in two digits or whole."""
+    return f"{100.0 * x:.2g} %" if x < 0.1 else f"{100.0 * x:,.0f} %"
 
 
 def _times(a: float, b: float) -> str:
-    return f"{a / max(b, 1e-300):.3g} times"
+    times = a / max(b, 1e-300)
+    return f"{times:.2g} times" if times < 100.0 else f"{times:,.0f} times"

@@ -215,10 +215,11 @@ class Diagnosis:
                 "joints": list(self.where.joints), "regime": self.where.regime,
             },
             "gap": {"base": finite(self.gap.base), "repaired": finite(self.gap.repaired),
-                    "noise_floor": finite(self.gap.noise_floor), "unit": self.gap.unit, "held_out": self.held_out, "motion": self.swing,
-                    "replicate_scatter": self.scatter},
+                    "noise_floor": finite(self.gap.noise_floor), "unit": self.gap.unit, "held_out": self.held_out,
+                    "motion": self.swing, "replicate_scatter": self.scatter},
             "p_null": finite(self.p_null), "next_experiment": self.next_experiment, "sentence": self.sentence,
-            "explained": finite(self.explained), "not_understood": list(self.not_understood), "remarks": list(self.remarks),
+            "explained": finite(self.explained), "not_understood": list(self.not_understood),
+            "remarks": list(self.remarks),
         }  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from ...version import __version__
 from ..cases.case import BranchCase, JointCase
 from ..inference.predict import main_channels
 from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number
-from .consistent import error_name, grows, missed, share, significant, spoken
+from .consistent import error_name, grows, missed, percent, share, significant, spoken
 from .decide import TIED
 from .diagnosis import Diagnosis, Rival
 from .evidence import ALARM
@@ -85,7 +85,7 @@ def _gap(d: Diagnosis) -> list[KeyNumber]:
         name, of = "RMSE", " In the only recording, to which the model was fitted: nothing is held out."
     shown = [
         KeyNumber(f"{name}, base model", scale * d.gap.base, unit,
-                  f"Springs and dampers alone.{of} {_percent(missed(d))} of the motion beyond the noise."),
+                  f"Springs and dampers alone.{of} {percent(missed(d))} of the motion beyond the noise."),
         KeyNumber(f"{name}, {BEST}", scale * d.gap.repaired, unit, _repaired(d)),
         KeyNumber("Noise floor", scale * d.gap.noise_floor, unit, _floor(d)),
     ]  # fmt: skip
@@ -168,7 +168,9 @@ def _against_alarm(d: Diagnosis) -> str:
         none = f"Above {ALARM}: no candidate is significant"
         return f"{none}, but the misfit is far beyond the noise." if significant(d) else f"{none}."
     if d.verdict == "none":
-        return f"Below {ALARM}, but the effect is smaller than the tolerance: it changes the motion by {_percent(d.size)}."
+        return (
+            f"Below {ALARM}, but the effect is smaller than the tolerance: it changes the motion by {percent(d.size)}."
+        )
     return f"Below {ALARM}: something is missing."
 
 
@@ -224,10 +226,6 @@ def _ranked(d: Diagnosis) -> list[Rival]:
 
 def _called(rival: Rival) -> str:
     return " + ".join(rival.effects)
-
-
-def _percent(x: float) -> str:
-    return f"{100.0 * x:.2g} %"
 
 
 def _details(d: Diagnosis) -> dict[str, object]:

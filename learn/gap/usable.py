@@ -21,8 +21,8 @@ from .where import joint_motion
 
 #: Largest noise relative to the rms of the motion.
 MOST_NOISE = 0.7
-#: Least number of measured values for every unknown of the base model, its start states and a law: ten to twenty is the
-#: usual advice for a fit that is to say something about other data (Harrell, Regression Modeling Strategies, 2015, 4.4).
+#: Least number of measured values for every unknown of the base model, its start states and a law: ten to twenty is
+#: usual for a fit that is to say something about other data (Harrell, Regression Modeling Strategies, 2015, 4.4).
 PER_UNKNOWN = 10
 #: Parameters of a typical law.
 LAW = 3

@@ -47,7 +47,7 @@ def bar(text: str, total: int | None) -> Iterator[Callable[[int], None]]:
         yield lambda count: advance(text, count)
 
 
-#: Seconds between plain lines of one stage, and before the first of a command: what is done sooner says nothing.
+#: Seconds between plain lines, and before the first: what is done sooner says nothing.
 EVERY = 10.0
 #: Seconds after which what happens meanwhile has a plain line.
 SOON = 2.0
@@ -59,8 +59,8 @@ _listening: list[Callable[[str | None], None]] = []
 def bars(totals: Mapping[str, int | None]) -> Iterator[Callable[[str, int], None]]:
     """Show progress through stages, a bar each from when it is first reported on; otherwise as `bar`.
 
-    Where stderr is no terminal (a pipe, a log file) every stage has a plain line of its own once the first has taken
-    `EVERY` seconds, and another after each further `EVERY` seconds in which something was done.
+    Where stderr is no terminal (a pipe, a log file) there is a plain line every `EVERY` seconds, and one where a stage
+    ends or begins after the first such line.
 
     Args:
         totals: Steps of every stage by what its bar says; None where the number is not known.
@@ -78,8 +78,7 @@ def bars(totals: Mapping[str, int | None]) -> Iterator[Callable[[str, int], None
 
 @contextmanager
 def meanwhile(text: str) -> Iterator[None]:
-    """Say under a command's progress what takes so long while the block runs; a program that uses the package is left
-    in peace."""
+    """Say under a command's progress what takes so long while the block runs; say nothing outside of a command."""
     said = _listening[-1] if _listening else None
     if said is not None:
         said(text)
@@ -126,22 +125,34 @@ def _drawn(totals: Mapping[str, int | None], console: Any) -> Iterator[Shown]:
 @contextmanager
 def _written(totals: Mapping[str, int | None]) -> Iterator[Shown]:
     """Write plain lines on stderr."""
-    begun = time.monotonic()
+    begun, names = time.monotonic(), list(totals)
     done = dict.fromkeys(totals, 0)
-    last: list[Any] = [begun, None]  # when something was last written, and about which stage
+    now, last, told = [names[0]], [begun], [False]  # stage under way, time of the last line, whether it has one
     waiting: list[threading.Timer] = []
+    ended = threading.Event()
 
     def write(text: str) -> None:
-        print(f"bough: {time.monotonic() - begun:.0f} s: {text}", file=sys.stderr, flush=True)
         last[0] = time.monotonic()
+        print(f"bough: {last[0] - begun:.0f} s: {text}", file=sys.stderr, flush=True)
+
+    def tell() -> None:
+        stage, told[0] = now[0], True
+        of = "" if totals[stage] is None else f" of {totals[stage]}"
+        write(f"{stage}, {done[stage]}{of}" if done[stage] else stage)
 
     def advance(stage: str, count: int) -> None:
+        changed, now[0] = stage != now[0], stage
         done[stage] += count
-        late = time.monotonic() - last[0] >= EVERY
-        if late or (last[1] is not None and last[1] != stage):
-            last[1] = stage
-            of = "" if totals[stage] is None else f" of {totals[stage]}"
-            write(f"{stage}, {done[stage]}{of}" if done[stage] else stage)
+        if time.monotonic() - last[0] >= EVERY or (changed and told[0]):
+            tell()
+        at = names.index(stage) + 1
+        if done[stage] == totals[stage] and at < len(names):
+            now[0] = names[at]
+
+    def beat() -> None:
+        while not ended.wait(EVERY or 1.0):
+            if time.monotonic() - last[0] >= 0.99 * EVERY:
+                tell()
 
     def listen(text: str | None) -> None:
         while waiting:
@@ -151,7 +162,11 @@ def _written(totals: Mapping[str, int | None]) -> Iterator[Shown]:
             waiting[0].daemon = True
             waiting[0].start()
 
-    yield advance, listen
+    threading.Thread(target=beat, daemon=True).start()
+    try:
+        yield advance, listen
+    finally:
+        ended.set()
 
 
 def warn(text: str) -> None:
