@@ -129,6 +129,7 @@ def _written(totals: Mapping[str, int | None]) -> Iterator[Shown]:
     done = dict.fromkeys(totals, 0)
     now, last, told = [names[0]], [begun], [False]  # stage under way, time of the last line, whether it has one
     waiting: list[threading.Timer] = []
+    aside: list[str] = []  # what happens meanwhile
     ended = threading.Event()
 
     def write(text: str) -> None:
@@ -152,9 +153,10 @@ def _written(totals: Mapping[str, int | None]) -> Iterator[Shown]:
     def beat() -> None:
         while not ended.wait(EVERY or 1.0):
             if time.monotonic() - last[0] >= 0.99 * EVERY:
-                tell()
+                write(aside[0]) if aside else tell()
 
     def listen(text: str | None) -> None:
+        aside[:] = [] if text is None else [text]
         while waiting:
             waiting.pop().cancel()
         if text is not None:
