@@ -17,8 +17,8 @@ from .decide import probe_for
 from .diagnosis import Diagnosis
 from .evidence import ALARM, LACK
 
-#: Held-out error over the noise floor from which it is more than noise. Noise of the force and refits to fewer recordings
-#: bring right models above it too: to 1.02 to 1.30 in twelve practice cases, to 1.05 to 1.16 in the median of an exam.
+#: Held-out error over the noise floor from which it is more than noise. Noise of the force and refits to fewer
+#: recordings bring right models above it too: 1.02 to 1.30 in practice cases, 1.05 to 1.16 in the median of an exam.
 FAR = 2.0
 
 Rule = Callable[[Diagnosis], str | None]
