@@ -21,11 +21,11 @@ class GravityTorque:
 
     Attributes:
         amplitude: m g l [N m], or None = infer.
-        zero_angle: Hanging angle [rad].
+        zero_angle: Hanging angle [rad], as the encoder reads it, or None = infer.
     """
 
     amplitude: float | None
-    zero_angle: float
+    zero_angle: float | None
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ def case_joints(meta: JointMeta, folder: Path) -> tuple[JointAxis, ...]:
 
 def _joint(link: int, spec: JointSpecMeta) -> JointSpec:
     gravity = spec.gravity_torque
-    torque = GravityTorque(gravity.amplitude, float(gravity.zero_angle)) if gravity else None
+    torque = GravityTorque(gravity.amplitude, gravity.zero_angle) if gravity else None
     return JointSpec(spec.name, spec.type, link, spec.inertia, spec.stiffness, spec.damping, torque)
 
 
@@ -200,8 +200,8 @@ def check_joint_meta(meta: JointMeta, file: YamlFile, folder: Path) -> None:
 
     Raises:
         InputError: An input, output or unknown names an unknown joint, a scale is zero, a joint is driven twice; a
-            joint cannot have what it states; the inertia is to be inferred where nothing drives the joint; ``rows``
-            are reversed; the split overlaps or names a trajectory that is not there; the MJCF file cannot be read.
+            joint cannot have what it states; the inertia is to be inferred where nothing drives the joint; the split
+            overlaps or names a trajectory that is not there; the MJCF file cannot be read.
     """
     names = [joint.name for joint in case_joints(meta, folder)]
     users: list[tuple[list[str | int], InputMeta | OutputMeta]] = [
@@ -219,9 +219,6 @@ def check_joint_meta(meta: JointMeta, file: YamlFile, folder: Path) -> None:
             raise file.error(["input", i, "joint"], f"{name} a second time", "one input a joint")
     _check_unknown(meta, file, names)
     _check_mechanism(meta, file)
-    for i, item in enumerate(meta.trajectories):
-        if item.rows and item.rows[1] <= item.rows[0]:
-            raise file.error(["trajectories", i, "rows"], f"{item.rows}", "[start, stop] with start < stop")
     _check_split(meta, file)
 
 
