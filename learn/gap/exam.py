@@ -80,7 +80,8 @@ def sit(item: tuple[int, Spec]) -> dict[str, Any]:
         found = find_missing(load_case(Path(folder) / "case"), Run(Settings(particles=0)))
     verdict = found.verdict_file()
     verdict["case"] = number
-    truth = {k: answer[k] for k in ("null", "out_of_library", "effects", "equivalents", "weak", "visible_gap", "measurement_gap")}
+    keys = ("null", "out_of_library", "effects", "equivalents", "weak", "visible_gap", "measurement_gap")
+    truth = {k: answer[k] for k in keys}
     return {"case": number, "kind": spec.kind, "noise": spec.noise, "seed": spec.seed, "truth": truth,
             "verdict": verdict, "seconds": found.seconds["total"],
             "reduced_chi2": found.ranking[0].reduced_chi2, "base_reduced_chi2": found.base_reduced_chi2,

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .branch import TRUNK_PIVOT, Array, unit
 from .joint_laws import Random
@@ -19,6 +20,7 @@ ACROSS, ALONG = 1.1, 0.02
 
 #: Velocity of the air [m/s] at times on the clock [s], shape [N], and places [m], [N, B, 3]; shape [N, B, 3].
 Wind = Callable[[Array, Array], Array]
+Numbers = NDArray[np.intp]
 
 
 @dataclass
@@ -39,10 +41,6 @@ class Drag(Law):
     linear: float = 0.0
     leaves: Array | None = None
 
-    def begin(self, now: Now) -> None:
-        """Note which geometries are links, and their areas."""
-        self._links(now)
-
     def act(self, now: Now) -> None:
         """Drag every link."""
         links, bodies, area = self._links(now)
@@ -61,14 +59,14 @@ class Drag(Law):
         speed = np.sqrt((u * u).sum(axis=-1, keepdims=True))
         return np.asarray((np.maximum(speed, 1e-9) ** (self.power - 1) + self.linear) * u)
 
-    def _links(self, now: Now) -> tuple[Array, Array, Array]:
+    def _links(self, now: Now) -> tuple[Numbers, Numbers, Array]:
         """Return the cylinders of the branch, their bodies and areas [m^2]; a trunk's are left out."""
         model = now.rig.model
         shapes = np.flatnonzero(model.geom_size[:, 1] > 0)[int(now.rig.joints[0]) :]
         return shapes, model.geom_bodyid[shapes], 4 * model.geom_size[shapes, 0] * model.geom_size[shapes, 1]
 
 
-def velocities(now: Now, bodies: Array, place: Array) -> Array:
+def velocities(now: Now, bodies: Numbers, place: Array) -> Array:
     """Velocities [m/s] of points [N, B, 3] of bodies [B]."""
     roots = now.rig.model.body_rootid[bodies]
     spatial = np.array([d.cvel[bodies] for d in now.datas])
@@ -76,12 +74,13 @@ def velocities(now: Now, bodies: Array, place: Array) -> Array:
     return np.asarray(spatial[..., 3:] + np.cross(spatial[..., :3], place - centre))
 
 
-# ---- quadratic_drag -------------------------------------------------------------------------------------------------
+# ---- quadratic_drag ------------------------------------------------------------------------------------------------
 
 
-def _drag(**shape: float) -> Draft:
+def _drag(power: float = 2.0, linear: float = 0.0) -> Draft:
     def make(strength: float) -> Part:
-        return Part({"density_kgpm3": strength, **shape}, law=lambda: Drag(strength, **shape))
+        params = {"density_kgpm3": strength, "power": power, "linear_mps": linear}
+        return Part(params, law=lambda: Drag(strength, power=power, linear=linear))
 
     return Draft(make, 0.5, 20.0, 4000.0)
 
@@ -128,7 +127,7 @@ class Leafy(Drag):
         self.leaves = np.where(np.arange(count) >= count // 2, more, 0.0)
 
 
-# ---- steady_wind ----------------------------------------------------------------------------------------------------
+# ---- steady_wind ---------------------------------------------------------------------------------------------------
 
 
 def _wind(direction: Array, profile: Callable[[Array], Array], veer: float = 0.0, **params: float) -> Draft:
@@ -180,7 +179,7 @@ def veering(rng: Random, scale: Scale, joint: int) -> Draft:
     )
 
 
-# ---- wind_gust ------------------------------------------------------------------------------------------------------
+# ---- wind_gust -----------------------------------------------------------------------------------------------------
 
 
 @dataclass

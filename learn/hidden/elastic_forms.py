@@ -127,7 +127,7 @@ def _at(scale: Scale, joint: int) -> tuple[float, float]:
     return scale.branch.stiffness[joint], float(scale.angle[joint])
 
 
-# ---- cubic_stiffness ----------------------------------------------------------------------------------------------
+# ---- cubic_stiffness -----------------------------------------------------------------------------------------------
 
 
 def exponential(rng: Random, scale: Scale, joint: int) -> Draft:
@@ -176,7 +176,7 @@ def radial(rng: Random, scale: Scale, joint: int) -> Draft:
     return Draft(make, 0.02, 0.5, 2.5 if sign > 0 else 0.6)
 
 
-# ---- bilinear_stiffness -------------------------------------------------------------------------------------------
+# ---- bilinear_stiffness --------------------------------------------------------------------------------------------
 
 
 def _one_sided(
@@ -215,7 +215,7 @@ def late_corner(rng: Random, scale: Scale, joint: int) -> Draft:
     return _one_sided(rng, scale, joint, lambda u: np.maximum(0.0, u - corner), {"corner": corner})
 
 
-# ---- backlash -----------------------------------------------------------------------------------------------------
+# ---- backlash ------------------------------------------------------------------------------------------------------
 
 
 def _loose(scale: Scale, joint: int, lack: Callable[[Array, float], Array], params: dict[str, float]) -> Draft:
@@ -250,7 +250,7 @@ def hertz(rng: Random, scale: Scale, joint: int) -> Draft:
     return _loose(scale, joint, lack, {})
 
 
-# ---- anisotropic_stiffness, bending_torsion_coupling ----------------------------------------------------------------
+# ---- anisotropic_stiffness, bending_torsion_coupling ---------------------------------------------------------------
 
 
 def section(rng: Random, scale: Scale, joint: int) -> Draft:
@@ -324,7 +324,7 @@ def saturating_coupling(rng: Random, scale: Scale, joint: int) -> Draft:
     return Draft(make, 0.02, 0.4, 1.0)
 
 
-# ---- plastic_set, partial_rupture -----------------------------------------------------------------------------------
+# ---- plastic_set, partial_rupture ----------------------------------------------------------------------------------
 
 
 def _yielding(scale: Scale, joint: int, rng: Random) -> tuple[float, float, float]:

@@ -16,7 +16,7 @@ from .rig import Trunk
 from .sensor_laws import shifted, turned
 from .world_laws import Slip
 
-# ---- base_compliance, tip_mass --------------------------------------------------------------------------------------
+# ---- base_compliance, tip_mass -------------------------------------------------------------------------------------
 
 
 def _trunk(rng: Random, scale: Scale, depth: float, parts: int = 1, lag: tuple[float, float] = (0.01, 0.03)) -> Draft:
@@ -74,7 +74,7 @@ def twig(rng: Random, scale: Scale, joint: int) -> Draft:
     return _ball(scale, lambda mass: tuple((along * (k + 0.5) / 5, mass / 5) for k in range(5)))
 
 
-# ---- grasp_slip -----------------------------------------------------------------------------------------------------
+# ---- grasp_slip ----------------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -105,8 +105,7 @@ def _slide(scale: Scale, rate: Callable[[Array, Array], Array], way: float, **pa
 
     def make(strength: float) -> Part:
         mobility = way * strength * end / (scale.force * scale.duration)
-        law = {"mobility": mobility, "limit": 0.0, "onset": 0.0, "room": room, "rate": rate}
-        return Part({"mobility_mpNs": mobility, **params}, law=lambda: Slide(**law))
+        return Part({"mobility_mpNs": mobility, **params}, law=lambda: Slide(mobility, 0.0, 0.0, room, rate))
 
     return Draft(make, 0.01, 1.0, 100.0)
 
@@ -145,7 +144,7 @@ def rubbing(rng: Random, scale: Scale, joint: int) -> Draft:
     return _slide(scale, rate, _way(rng), limit_N=limit, weight=weight)
 
 
-# ---- force_bias, force_scale, time_delay, gravity_comp_error ----------------------------------------------------------
+# ---- force_bias, force_scale, time_delay, gravity_comp_error -------------------------------------------------------
 
 
 def _sensed(params: dict[str, float | list[float]], sense: Callable[[Array], Array]) -> Part:

@@ -214,8 +214,9 @@ def _check(
     if joint is not None and not 0 <= joint < segments:
         raise InputError(_WHO, "--joint", str(joint), f"0 to {segments - 1}, counted from the base")
     for option, value, low, high in (
-        ("--segments", segments, 1, 6), ("--samples", SAMPLES if samples is None else samples, 20, MOST_SAMPLES), ("--noise", noise, 0.0, 0.5),
-        ("--rate", 25.0 if rate is None else rate, 5.0, 500.0), ("--size", 0.1 if size is None else size, 0.01, 1.0),
+        ("--segments", segments, 1, 6), ("--samples", SAMPLES if samples is None else samples, 20, MOST_SAMPLES),
+        ("--noise", noise, 0.0, 0.5), ("--rate", 25.0 if rate is None else rate, 5.0, 500.0),
+        ("--size", 0.1 if size is None else size, 0.01, 1.0),
     ):  # fmt: skip
         if not low <= value <= high:
             raise InputError(_WHO, option, str(value), f"{low} to {high}")

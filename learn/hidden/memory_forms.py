@@ -144,7 +144,7 @@ def prony(relaxation: Callable[[Array], Array], start: float, end: float, count:
     return weights, times
 
 
-# ---- dry_friction ---------------------------------------------------------------------------------------------------
+# ---- dry_friction --------------------------------------------------------------------------------------------------
 
 
 def _friction(
@@ -196,7 +196,7 @@ def loaded(rng: Random, scale: Scale, joint: int) -> Draft:
     return _friction(rng, scale, joint, level, more=more)
 
 
-# ---- hysteresis_boucwen -----------------------------------------------------------------------------------------------
+# ---- hysteresis_boucwen --------------------------------------------------------------------------------------------
 
 
 def prandtl_ishlinskii(rng: Random, scale: Scale, joint: int) -> Draft:
@@ -238,7 +238,7 @@ def bouc_wen_power(rng: Random, scale: Scale, joint: int) -> Draft:
     return Draft(make, 0.02, 0.5, 2.5)
 
 
-# ---- viscoelastic_sls -------------------------------------------------------------------------------------------------
+# ---- viscoelastic_sls ----------------------------------------------------------------------------------------------
 
 
 def _creeping(scale: Scale, joint: int, weights: Array, times: Array, **params: float) -> Draft:
@@ -282,6 +282,6 @@ FORMS = {
         "prandtl_ishlinskii": prandtl_ishlinskii,
         "iwan": iwan,
         "bouc_wen_power": bouc_wen_power,
-    },  # fmt: skip
+    },
     "viscoelastic_sls": {"two_times": two_times, "fractional": fractional, "stretched": stretched},
 }

@@ -121,7 +121,7 @@ def _springs(branch: Branch, sub: int, wood: float, trunk: Trunk | None) -> tupl
     return stiff, damp
 
 
-def rig(branch: Branch, *, sub: int = 3, wood: float = 0.08, trunk: Trunk | None = None, **options: float) -> Rig:
+def rig(branch: Branch, *, sub: int = 3, wood: float = 0.08, trunk: Trunk | None = None, **options: Any) -> Rig:
     """Compile a branch and note where its segments' joints are; options are those of `build`."""
     model, data = build(branch, sub=sub, wood=wood, trunk=trunk, **options)
     joints = np.arange(len(branch.length), dtype=np.int64) * (sub if wood else 1) + (trunk.parts if trunk else 0)
