@@ -279,15 +279,20 @@ def orthotropic(rng: Random, scale: Scale, joint: int) -> Draft:
 
 
 def turning_axes(rng: Random, scale: Scale, joint: int) -> Draft:
-    """Draw another K about an axis across the segment that turns with the size of the bend."""
+    """Draw the energy K s (phi n)^2 / 2 of an axis n across the segment that turns with the size of the bend."""
     (k, a), (_, turn), sign = _at(scale, joint), _axis(rng), _sign(rng)
     turns = _sign(rng) * float(rng.uniform(0.2, 0.6))
 
     def make(strength: float) -> Part:
         def torque(phi: Array) -> Array:
-            now = turn + turns * np.sqrt((phi[:, :2] ** 2).sum(axis=1)) / a
+            bend = phi * [1.0, 1.0, 0.0]
+            size = np.sqrt((bend**2).sum(axis=1))
+            now = turn + turns * size / a
             axis = np.stack([np.cos(now), np.sin(now), 0 * now], axis=1)
-            return np.asarray(-sign * strength * k * (phi * axis).sum(axis=1, keepdims=True) * axis)
+            other = np.stack([-np.sin(now), np.cos(now), 0 * now], axis=1)
+            u, v = ((phi * n).sum(axis=1, keepdims=True) for n in (axis, other))
+            swing = turns / a * v * bend / np.maximum(size, 1e-12)[:, None]
+            return np.asarray(-sign * strength * k * u * (axis + swing))
 
         return _spring(joint, {"relative": sign * strength, "axis_rad": turn, "turns_rad": turns}, torque)
 

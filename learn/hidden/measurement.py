@@ -78,8 +78,8 @@ class Mounting:
         turn = Rotation.from_quat(readings.turn.reshape(-1, 4)[:, [1, 2, 3, 0]])
         swung = (turn.apply(self.offset) - self.offset).reshape(*shape[:-1], 3)
         speed = np.gradient(swung, readings.time, axis=1)
-        tracker, cell = (Rotation.from_rotvec(v).as_matrix().T for v in (self.tracker, self.cell))
-        return readings.but(
+        tracker, cell = (Rotation.from_rotvec(v).as_matrix() for v in (self.tracker, self.cell))
+        return readings.but(  # rows times the frame's matrix: components along its axes
             force=readings.force @ cell,
             moved=(readings.moved + swung) @ tracker,
             velocity=(readings.velocity + speed) @ tracker,

@@ -368,13 +368,10 @@ def dropouts(rng: Random, scale: Scale, joint: int) -> Draft:
 
     def make(strength: float) -> Part:
         def sense(seen: Readings) -> Readings:
-            at = np.tile(np.arange(len(seen.time)), (len(start), 1))
-            for k, (first, length) in enumerate(zip(start, part * strength, strict=True)):
-                for a, b in zip(
-                    (first * len(seen.time)).astype(int), (length * len(seen.time)).astype(int), strict=True
-                ):
-                    at[k, a : a + b] = at[k, a]
-            row = np.arange(len(at))[:, None]
+            now = np.arange(len(seen.time))
+            since = now[:, None] / len(now) - start[:, None]
+            stale = ((since > 0) & (since < strength * part[:, None])).any(axis=-1)
+            at, row = np.maximum.accumulate(np.where(stale, 0, now), axis=1), np.arange(len(start))[:, None]
             return seen.but(moved=seen.moved[row, at], velocity=seen.velocity[row, at])
 
         return Part({"spell": strength}, sense=sense)
