@@ -65,6 +65,7 @@ def test_only_the_held_back_exam_opens_them() -> None:
     allowed = {"cli/diagnose.py", "learn/gap/exam.py", "docs/hide.md", "CHANGELOG.md"}
     files = [p for p in ROOT.rglob("*") if p.suffix in {".py", ".md", ".yaml", ".yml", ".toml"} or p.name == "Makefile"]
     named = {str(p.relative_to(ROOT)) for p in files if {*_words(p)} & {"held_back", "--held-back"}}
+    allowed.add("tests/cli/test_hide_story.py")  # of one case in which nothing is hidden
     own = {name for name in named if name.startswith(("learn/hidden/", "tests/learn/hidden/", "docs/decisions/"))}
     assert named - own <= allowed, named - own
     assert "learn/hidden/forms.py" in own
