@@ -38,7 +38,9 @@ WANTED = (
 LEVELS = (0.01, 0.03, 0.05)
 
 
-def hold(out: Path, *, cases: int, noise: float, seed: int, jobs: int) -> str:
+def hold(
+    out: Path, *, cases: int, noise: float, seed: int, jobs: int, hard: bool = False, held_back: bool = False
+) -> str:
     """Hold an exam and return its table; see `cli.diagnose.Exam`.
 
     Raises:
@@ -52,7 +54,7 @@ def hold(out: Path, *, cases: int, noise: float, seed: int, jobs: int) -> str:
     out.mkdir(parents=True, exist_ok=True)
     place = out / "results.jsonl"
     done = [json.loads(line) for line in place.read_text().splitlines()] if place.exists() else []
-    plan = exam_plan(cases, seed, noise=noise)
+    plan = exam_plan(cases, seed, noise=noise, hard=hard, held_back=held_back)
     todo = [(k, s) for k, s in enumerate(plan) if k not in {d["case"] for d in done}]
     with Progress() as bar, multiprocessing.get_context("spawn").Pool(jobs) as pool:
         task = bar.add_task("exam", total=cases, completed=cases - len(todo))
@@ -78,7 +80,8 @@ def sit(item: tuple[int, Spec]) -> dict[str, Any]:
         found = find_missing(load_case(Path(folder) / "case"), Run(Settings(particles=0)))
     verdict = found.verdict_file()
     verdict["case"] = number
-    truth = {k: answer[k] for k in ("null", "out_of_library", "effects", "equivalents", "weak", "visible_gap")}
+    keys = ("null", "out_of_library", "effects", "equivalents", "weak", "visible_gap", "measurement_gap")
+    truth = {k: answer[k] for k in keys}
     return {"case": number, "kind": spec.kind, "noise": spec.noise, "seed": spec.seed, "truth": truth,
             "verdict": verdict, "seconds": found.seconds["total"],
             "reduced_chi2": found.ranking[0].reduced_chi2, "base_reduced_chi2": found.base_reduced_chi2,
