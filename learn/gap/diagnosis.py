@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
 
 from ...sim.base.errors import InputError, check_seed
 from ...sim.base.types import Array
@@ -112,6 +115,7 @@ class Where:
         edges: Edges of the windows [s], shape [W + 1].
         shares: Rms normalised residual by phase, direction, amplitude, speed and joint.
         torque: Residual torque at the joints, rms over each recording [N m], shape [R, J].
+        of_motion: Rms residual as a share of the motion's rms by trajectory and time window, as ``heat``.
     """
 
     trajectories: tuple[int, ...]
@@ -122,6 +126,7 @@ class Where:
     edges: Array
     shares: tuple[Share, ...]
     torque: Array | None = None
+    of_motion: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass
@@ -130,7 +135,7 @@ class Diagnosis:
 
     Attributes:
         verdict: ``none``, ``effects`` or ``unknown``.
-        sentence: The verdict in one sentence for a person.
+        sentence: The verdict in one sentence for a person, and what is to be known with it.
         effects: Named effects, base joint first.
         parameters: Of each named effect, by parameter name.
         alternatives: For each named effect, the names that these data cannot tell from it.
@@ -145,6 +150,14 @@ class Diagnosis:
         posterior: Joint posterior of base and effects, None where nothing was named.
         next_experiment: What to probe next.
         seconds: Wall time of each stage.
+        tried: Labels of the effects in the repaired model, claimed or not; empty where it is the base model.
+        size: Change of the motion that the preferred model makes, as a share of the motion's rms.
+        swing: Rms of the held-out main channels about their means, in the gap's unit.
+        scatter: Rms by which repeats of one experiment scatter in the main channels, in the gap's unit; None where
+            nothing was repeated.
+        unusable: Why the data cannot support a verdict, with the missing probe; None where they can.
+        not_understood: Which results contradict each other (`consistent`).
+        remarks: What the data leave open beside the verdict, a sentence each.
     """
 
     case: BranchCase | JointCase
@@ -172,6 +185,18 @@ class Diagnosis:
     posterior: Posterior | None = None
     world_steps: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
+    tried: tuple[str, ...] = ()
+    size: float = 0.0
+    swing: float = 1.0
+    scatter: float | None = None
+    unusable: str | None = None
+    not_understood: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def held_out(self) -> bool:
+        """Whether the gap is that of recordings which the fit has not seen; a single recording has been."""
+        return len(self.case.trajectories) > 1
 
     def verdict_file(self) -> dict[str, Any]:
         """Return what ``verdict.json`` holds, as CASE_FORMAT states it."""
@@ -189,8 +214,15 @@ class Diagnosis:
                 "windows_s": [[round(a, 4), round(b, 4)] for _, a, b in self.where.windows],
                 "joints": list(self.where.joints), "regime": self.where.regime,
             },
-            "gap": {"base": self.gap.base, "repaired": self.gap.repaired, "noise_floor": self.gap.noise_floor,
-                    "unit": self.gap.unit},
-            "p_null": self.p_null, "next_experiment": self.next_experiment, "sentence": self.sentence,
-            "explained": self.explained,
+            "gap": {"base": finite(self.gap.base), "repaired": finite(self.gap.repaired),
+                    "noise_floor": finite(self.gap.noise_floor), "unit": self.gap.unit, "held_out": self.held_out,
+                    "motion": self.swing, "replicate_scatter": self.scatter},
+            "p_null": finite(self.p_null), "next_experiment": self.next_experiment, "sentence": self.sentence,
+            "explained": finite(self.explained), "not_understood": list(self.not_understood),
+            "remarks": list(self.remarks),
         }  # fmt: skip
+
+
+def finite(x: float) -> float | None:
+    """Return a number as JSON can hold it: None where a simulation diverged."""
+    return x if math.isfinite(x) else None

@@ -15,8 +15,8 @@ from .decide import TIED
 from .diagnosis import Share
 from .where import CONTRAST
 
-#: Longest name on an axis; most dots per curve.
-LONGEST, MOST_DOTS = 30, 2000
+#: Longest name on an axis; most dots per curve; residual over noise from which bars are drawn on a logarithmic axis.
+LONGEST, MOST_DOTS, SPREAD = 30, 2000, 30.0
 BASE, BEST = "base model", "repaired model"
 _HEAT = LinearSegmentedColormap.from_list("misfit", ["#FFFFFF", "#FBE3D2", ALARM, "#4A1D00"])
 
@@ -30,35 +30,53 @@ def short(name: str, longest: int = LONGEST) -> str:
 
 
 @styled
-def heat_figure(base: Array, best: Array, edges: Array, *, titles: Sequence[str]) -> Figure:
-    """Draw residual over noise by recording and time window, base and repaired model on one scale.
+def heat_figure(
+    base: Array, best: Array, edges: Array, *, titles: Sequence[str], noise: float, scatter: float | None = None,
+) -> Figure:  # fmt: skip
+    """Draw the residual as a share of the motion by recording and time window, base and repaired model on one scale.
+
+    The scale ends at the noise, or at the least residual where the noise is far below all of them.
 
     Args:
         base: Of the base model, NaN past a recording's end, shape [R, W].
         best: Of the repaired model, shape [R, W].
         edges: Of the windows [s], shape [W + 1].
         titles: Name of each recording, length R.
+        noise: Noise of the sensors as a share of the motion.
+        scatter: Scatter of repeats as a share of the motion, None where nothing was repeated.
     """
     count = len(base)
     figure = Figure(figsize=(WIDTH, 1.7 + 0.3 * max(count, 3)), layout="constrained")
-    figure.suptitle("Residual / noise by recording and time window", fontsize=11)
+    known = f"noise {_percent(noise)}" + ("" if scatter is None else f", repeats differ by {_percent(scatter)}")
+    figure.suptitle(f"Residual as a share of the motion ({known})", fontsize=11)
     axes = figure.subplots(1, 2, sharey=True)
-    top = max(4.0, float(np.nanmax(np.concatenate([base, best]))))
+    low, top = heat_scale(np.concatenate([base, best]), noise)
     for ax, values, name in zip(axes, (base, best), (BASE, BEST), strict=True):
         ax.set_facecolor("#EEEEEE")
-        drawn = ax.pcolormesh(edges, np.arange(count + 1) - 0.5, np.ma.masked_invalid(np.maximum(values, 1.0)),
-                              cmap=_HEAT, norm=LogNorm(1.0, top), edgecolors="white", linewidth=0.5)  # fmt: skip
+        drawn = ax.pcolormesh(edges, np.arange(count + 1) - 0.5, np.ma.masked_invalid(np.maximum(values, low)),
+                              cmap=_HEAT, norm=LogNorm(low, top), edgecolors="white", linewidth=0.5)  # fmt: skip
         ax.set_title(name)
         ax.set_xlabel("time [s]")
         ax.grid(visible=False)
     axes[0].set_ylabel("recording")
     axes[0].set_yticks(range(count), [short(t) for t in titles])
     axes[0].invert_yaxis()
-    bar = figure.colorbar(drawn, ax=axes, label="rms residual / noise", fraction=0.05)
-    ticks = [x for x in (1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000) if x <= top]
-    bar.set_ticks(ticks, labels=[str(x) for x in ticks])
+    bar = figure.colorbar(drawn, ax=axes, label="rms residual / rms motion", fraction=0.05)
+    ticks = [m * 10.0**e for e in range(-9, 3) for m in (1, 2, 5) if low <= m * 10.0**e <= top]
+    bar.set_ticks(ticks[:: 1 + len(ticks) // 8], labels=[_percent(x) for x in ticks[:: 1 + len(ticks) // 8]])
     bar.ax.minorticks_off()
     return figure
+
+
+def heat_scale(shares: Array, noise: float) -> tuple[float, float]:
+    """Return both ends of the scale of residuals as shares of the motion, three decades apart at most."""
+    top = max(float(np.nanmax(shares)), 1e-12)
+    low = max(noise, float(np.nanmin(shares)), 1e-3 * top)
+    return min(low, top), max(top, 4.0 * low)
+
+
+def _percent(x: float) -> str:
+    return f"{100.0 * x:.3g} %" if x >= 1e-6 else f"{100.0 * x:.0e} %"
 
 
 @styled
@@ -192,18 +210,33 @@ def ranking_figure(names: Sequence[str], delta: Array, explained: Array) -> Figu
 
 
 @styled
-def gap_figure(base: float, repaired: float, noise_floor: float, *, unit: str) -> Figure:
-    """Draw the held-out RMSE of both models and the noise floor."""
-    figure = Figure(figsize=(5.2, 2.0), layout="constrained")
+def gap_figure(
+    base: float, repaired: float, noise_floor: float, *, unit: str, scatter: float | None = None,
+    name: str = "held-out RMSE",
+) -> Figure:  # fmt: skip
+    """Draw the error of both models, the noise floor, and how far repeats of one experiment differ, if any were made.
+
+    Args:
+        base: Of the base model.
+        repaired: Of the repaired model.
+        noise_floor: Of the sensors alone.
+        unit: Of all.
+        scatter: Scatter of repeats, None where nothing was repeated.
+        name: What kind of error it is.
+    """
+    bars = [(BASE, base, ALARM), (BEST, repaired, MODEL), ("noise floor", noise_floor, NOISE)]
+    if scatter is not None:
+        bars.append(("scatter of repeats", scatter, FAINT))
+    figure = Figure(figsize=(5.2, 1.1 + 0.3 * len(bars)), layout="constrained")
     ax = figure.subplots()
-    ax.set_title("Held-out RMSE")
-    values = [base, repaired, noise_floor]
-    ax.barh([BASE, BEST, "noise floor"], values, color=[ALARM, MODEL, NOISE], height=0.65)
+    ax.set_title(name[0].upper() + name[1:])
+    labels, values, colours = zip(*bars, strict=True)
+    ax.barh(labels, values, color=colours, height=0.65)
     for i, x in enumerate(values):
         ax.annotate(f"{x:.3g}", (x, i), (4, 0), textcoords="offset points", va="center", fontsize=9)
     ax.invert_yaxis()
     ax.set_xlim(0.0, 1.18 * max(*values, 1e-300))
-    ax.set_xlabel(f"held-out RMSE [{unit}]")
+    ax.set_xlabel(f"RMSE [{unit}]")
     ax.grid(visible=False, axis="y")
     return figure
 
@@ -227,6 +260,10 @@ def shares_figure(base: Sequence[Share], best: Sequence[Share]) -> Figure:
         ax.set_ylabel(group[0].by, rotation=0, ha="right", va="center", fontweight="bold")
         ax.grid(visible=False, axis="y")
     figure.align_ylabels()
+    largest = max((s.ratio for s in (*base, *best)), default=1.0)
+    if largest > SPREAD:
+        axes[0].set_xscale("log")
+        axes[0].set_xlim(0.5, 2.0 * largest)
     axes[0].set_title("Residual by part of the motion")
     axes[-1].set_xlabel(f"rms residual / noise (above {CONTRAST}: more than noise)")
     return _keyed(figure, axes[0])

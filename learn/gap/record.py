@@ -1,15 +1,18 @@
-"""The record of a diagnosis, assembled from the results of its stages, and its verdict in one sentence."""
+"""The record of a diagnosis, assembled from the results of its stages and held against itself."""
 
 from __future__ import annotations
 
 from ...sim.base.types import Array
 from ..inference.posterior import Posterior
-from .decide import Decision
+from .consistent import consistent
+from .decide import Decision, size
 from .diagnosis import Diagnosis, Gap, Rival, Where
 from .posterior import Intervals
 from .prepare import Base
 from .run import Run
 from .search import Searched
+from .usable import different_plants, one_way
+from .where import replicate_scatter, swing_of
 
 
 def record(
@@ -17,31 +20,23 @@ def record(
     posterior: Posterior | None, parameters: Intervals, noise: Array, outputs: tuple[Array, Array], where: Where,
     next_experiment: str,
 ) -> Diagnosis:  # fmt: skip
-    """Return the record of a diagnosis; ``outputs`` are those of the base model and of the repaired one."""
+    """Return the record of a diagnosis; ``outputs`` are those of the base model and of the repaired one.
+
+    What its results do not bear out is no verdict: it becomes ``unknown`` with what is not understood (`consistent`).
+    """
     fitted, contest = searched.fitted, base.contest
-    explained = fitted.explained(decision.model)
-    return Diagnosis(
-        case=contest.case, settings=run.settings, recordings=contest.recordings, sigma=noise, verdict=decision.verdict,
-        sentence=sentence(decision, gap, explained, base.unusable), effects=decision.named, parameters=parameters,
-        alternatives=decision.alternatives, nearest=decision.nearest, where=where, gap=gap, ranking=ranking,
-        explained=explained,
+    case, recordings, base_values = contest.case, contest.recordings, fitted.values(fitted.base)
+    with run.timed("checks"):
+        unusable = base.unusable or different_plants(fitted, decision.model)
+    return consistent(Diagnosis(
+        case=case, settings=run.settings, recordings=recordings, sigma=noise, verdict=decision.verdict,
+        sentence="", effects=decision.named, parameters=parameters, alternatives=decision.alternatives,
+        nearest=decision.nearest, where=where, gap=gap, ranking=ranking, explained=fitted.explained(decision.model),
         base_reduced_chi2=fitted.reduced_chi2(fitted.base), motion=base.motion, p_null=searched.p_value,
-        base_output=outputs[0], best_output=outputs[1], base_values=fitted.values(fitted.base),
+        base_output=outputs[0], best_output=outputs[1], base_values=base_values,
         best_values=fitted.values(decision.final), next_experiment=next_experiment, posterior=posterior,
-        world_steps=contest.world_steps, seconds=run.seconds,
-    )  # fmt: skip
-
-
-def sentence(decision: Decision, gap: Gap, explained: float, unusable: str | None) -> str:
-    """Return the verdict in one sentence."""
-    if unusable is not None:
-        return f"The data cannot support a verdict: {unusable}."
-    if decision.verdict == "none":
-        rmse = f"held-out RMSE {gap.base:.3g} {gap.unit}, noise floor {gap.noise_floor:.3g}"
-        return f"No missing effect is detectable in these data: {rmse}."
-    if decision.verdict == "unknown":
-        return (f"An effect is missing that is none of the known ones; the nearest, {decision.nearest}, explains"
-                f" {100 * explained:.0f} % of the excess misfit.")  # fmt: skip
-    what = " and ".join(a.name if a.joint is None else f"{a.name} at joint {a.joint}" for a in decision.named)
-    return (f"The model lacks {what}: adding it reduces the held-out RMSE from {gap.base:.3g} to {gap.repaired:.3g}"
-            f" {gap.unit} (noise floor {gap.noise_floor:.3g}).")  # fmt: skip
+        world_steps=contest.world_steps, seconds=run.seconds, tried=fitted.labels(decision.final),
+        size=size(fitted, decision.model, base.motion), unusable=unusable,
+        swing=swing_of(case, recordings, gap.test or range(len(recordings))),
+        scatter=replicate_scatter(case, recordings), remarks=one_way(case, recordings, base_values),
+    ))  # fmt: skip

@@ -10,16 +10,18 @@ import numpy as np
 
 from ...sim.base.host import describe
 from ...sim.base.types import Array
-from ...sim.effects import effect_of
+from ...sim.effects import effect_of, effects
 from ...version import __version__
 from ..cases.case import BranchCase, JointCase
 from ..inference.predict import main_channels
 from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number
+from .consistent import error_name, grows, missed, percent, share, significant, spoken
 from .decide import TIED
 from .diagnosis import Diagnosis, Rival
 from .evidence import ALARM
 from .figures import (
     BASE,
+    BEST,
     before_after_figure,
     gap_figure,
     heat_figure,
@@ -28,18 +30,21 @@ from .figures import (
     ranking_figure,
     shares_figure,
 )
-from .where import joint_motion, locate
+from .where import joint_motion, locate, motion_of
 
 VERDICT = "verdict.json"
 #: Most recordings drawn over time and as loops, channels per recording, joints of a mechanism, models of the ranking.
 SHOWN, LOOPS, CHANNELS, JOINTS, RIVALS = 2, 4, 3, 3, 12
 _STATUS: dict[str, Literal["good", "warning", "bad"]] = {"none": "good", "effects": "warning", "unknown": "bad"}
+#: Held-out RMSE over noise floor from which the floor says little of what can be reached.
+GOOD_SENSOR = 30.0
+_P_VALUE = "Probability that the best of all candidates fits this well if the base model is true."
 #: Units for readers: factor from the SI unit, and name.
 _READ = {"m": (100.0, "cm"), "rad": (math.degrees(1.0), "deg"), "rad_per_s": (math.degrees(1.0), "deg/s")}
 
 
-def content(diagnosis: Diagnosis) -> ReportContent:
-    """Return what the report page shows."""
+def content(diagnosis: Diagnosis, *, drawn: bool = True) -> ReportContent:
+    """Return what the report page shows; without ``drawn`` no figures."""
     with_model = isinstance(diagnosis.case, BranchCase)  # a mechanism of joints has no model file
     return ReportContent(
         title=f"Diagnosis of {diagnosis.case.name}",
@@ -48,7 +53,7 @@ def content(diagnosis: Diagnosis) -> ReportContent:
         numbers=[*_gap(diagnosis), *_effects(diagnosis), *_advice(diagnosis), *_evidence(diagnosis)],
         parameters=_parameters(diagnosis),
         tables=_tables(diagnosis),
-        figures=_figures(diagnosis),
+        figures=_figures(diagnosis) if drawn else [],
         details=_details(diagnosis),
         further=[
             (VERDICT, "the verdict for programs"),
@@ -65,7 +70,7 @@ def content(diagnosis: Diagnosis) -> ReportContent:
 
 def readable(unit: str) -> tuple[float, str]:
     """Return factor and name of the unit in which an SI unit is shown."""
-    return _READ.get(unit, (1.0, unit.replace("_per_", "/").replace("_", " ")))
+    return _READ.get(unit, (1.0, spoken(unit)))
 
 
 # ---- the first screen -----------------------------------------------------------------------------------------------
@@ -74,17 +79,36 @@ def readable(unit: str) -> tuple[float, str]:
 def _gap(d: Diagnosis) -> list[KeyNumber]:
     scale, unit = readable(d.gap.unit)
     held = ", ".join(str(j + 1) for j in d.gap.test)
-    of = f" Recordings {held}, not used in the fit." if held else ""
-    repaired = {
-        "none": "No effect is added: the base model.",
-        "effects": "Root mean square error with the named effects added.",
-        "unknown": f"With {d.nearest or 'the best candidate'} added, which is not claimed.",
-    }[d.verdict]
-    return [
-        KeyNumber("Held-out RMSE, base model", scale * d.gap.base, unit, f"Springs and dampers alone.{of}"),
-        KeyNumber("Held-out RMSE, repaired model", scale * d.gap.repaired, unit, repaired),
-        KeyNumber("Noise floor", scale * d.gap.noise_floor, unit, "Held-out RMSE of a perfect model."),
-    ]
+    if d.held_out:
+        name, of = "Held-out RMSE", f" Recordings {held}, not used in the fit." if held else ""
+    else:
+        name, of = "RMSE", " In the only recording, to which the model was fitted: nothing is held out."
+    shown = [
+        KeyNumber(f"{name}, base model", scale * d.gap.base, unit,
+                  f"Springs and dampers alone.{of} {percent(missed(d))} of the motion beyond the noise."),
+        KeyNumber(f"{name}, {BEST}", scale * d.gap.repaired, unit, _repaired(d)),
+        KeyNumber("Noise floor", scale * d.gap.noise_floor, unit, _floor(d)),
+    ]  # fmt: skip
+    if d.scatter is not None:
+        why = "Of the same experiment from its mean, noise included: no model of the input does better on the average."
+        shown.append(KeyNumber("Scatter of repeats", scale * d.scatter, unit, why))
+    return shown
+
+
+def _repaired(d: Diagnosis) -> str:
+    if not d.tried:
+        return "No effect is added: the base model."
+    if d.verdict == "effects":
+        return "Root mean square error with the named effects added."
+    worse = " It predicts worse with it than without." if grows(d) else ""
+    return f"With {' + '.join(d.tried)} added, which is not claimed.{worse}"
+
+
+def _floor(d: Diagnosis) -> str:
+    text = "What a perfect model would leave: the noise of the sensors alone."
+    if d.scatter is not None or d.gap.base < GOOD_SENSOR * d.gap.noise_floor:
+        return text
+    return f"{text} It says little here; record one experiment twice to see what a model can reach."
 
 
 def _effects(d: Diagnosis) -> list[KeyNumber]:
@@ -97,37 +121,68 @@ def _effects(d: Diagnosis) -> list[KeyNumber]:
             low, high = (number(x, row.digits) for x in (i.low, i.high))
             why = f"95 % interval {low} to {high}{law}."
             unit = "" if i.unit == "1" else i.unit
-            out.append(KeyNumber(f"{acting.label} {name}", number(i.median, row.digits), unit, why))
+            out.append(KeyNumber(f"{acting.label} {bare(name)}", number(i.median, row.digits), unit, why))
             law = ""
     return out
 
 
+def bare(name: str) -> str:
+    """Return an effect's parameter without the unit in its name: the unit stands beside it, and a slide has another."""
+    label, _, own = name.rpartition(" ")
+    laws = [law for e in effects() for law in (e.branch, e.joint) if law is not None]
+    if own in {p.name for law in laws for p in law.parameters if p.unit != "1"}:
+        own = own.rpartition("_")[0]
+    return f"{label} {own}".strip()
+
+
 def _advice(d: Diagnosis) -> list[KeyNumber]:
-    """Return where the base model is wrong, alternative names, and the next probe."""
+    """Return where the base model is wrong, what is left open, alternative names, and the next probe."""
     files = [f"{j + 1} ({d.case.trajectories[j].file})" for j in d.where.trajectories]
     place = f", most in recording {', '.join(files)}" if files else ""
     out = [KeyNumber("Largest residuals", "", "", f"{d.where.regime}{place}.")]
+    out += [KeyNumber("Not understood", "", "", f"{text}.") for text in d.not_understood]
+    out += [KeyNumber("Left open", "", "", text) for text in d.remarks]
     rivals = [f"{label}: {', '.join(names)}" for label, names in d.alternatives.items() if names]
     if rivals:
         out.append(KeyNumber("Alternatives", "", "", f"These data cannot tell apart {'; '.join(rivals)}."))
     if d.verdict == "unknown":
-        name = f"{d.nearest}, which explains too little to be claimed." if d.nearest else "None."
+        name = f"{d.nearest}, which is not claimed." if d.nearest else "None."
         out.append(KeyNumber("Nearest candidate", "", "", name))
     return [*out, KeyNumber("Next probe", "", "", d.next_experiment)]
 
 
 def _evidence(d: Diagnosis) -> list[KeyNumber]:
-    meaning = (
-        "Probability that the best of all candidates fits this well if the base model is true. "
-        f"Above {ALARM} no effect is claimed to be missing."
-    )
-    share = "Share of the base model's excess chi-squared that the preferred model explains."
+    if d.unusable is not None:
+        return []  # nothing was tested
     chi2 = "Of the base model; 1 if only noise is left."
     return [
-        KeyNumber("p-value, family-wise", d.p_null, "", meaning),
-        KeyNumber("Explained", 100 * d.explained, "%", share),
+        KeyNumber("p-value, family-wise", d.p_null, "", f"{_P_VALUE} {_against_alarm(d)}"),
+        *_explained(d),
         KeyNumber("Reduced chi-squared", d.base_reduced_chi2, "", chi2),
     ]
+
+
+def _against_alarm(d: Diagnosis) -> str:
+    """Return what the p-value means for the verdict of the page."""
+    if d.p_null > ALARM:
+        none = f"Above {ALARM}: no candidate is significant"
+        return f"{none}, but the misfit is far beyond the noise." if significant(d) else f"{none}."
+    if d.verdict == "none":
+        return (
+            f"Below {ALARM}, but the effect is smaller than the tolerance: it changes the motion by {percent(d.size)}."
+        )
+    return f"Below {ALARM}: something is missing."
+
+
+def _explained(d: Diagnosis) -> list[KeyNumber]:
+    """Return the share of the excess that the preferred model explains, none where there is no excess to explain."""
+    if not significant(d):
+        return []
+    which = "named effects" if d.verdict == "effects" else "best model, which is not claimed"
+    seen = " In the recordings that it was fitted to; held-out ones are missed by more."
+    fitted = seen if grows(d) and d.held_out else ""
+    why = f"Of the base model's excess chi-squared, by the {which}.{fitted}"
+    return [KeyNumber("Explained", share(d.explained), "", why)]
 
 
 # ---- tables ---------------------------------------------------------------------------------------------------------
@@ -137,14 +192,14 @@ def _parameters(d: Diagnosis) -> list[ParameterRow]:
     if d.posterior is None:
         return []
     middle, low, high = d.posterior.interval()
-    rows = zip(d.posterior.names, middle, low, high, d.posterior.units, strict=True)
+    rows = zip(map(bare, d.posterior.names), middle, low, high, d.posterior.units, strict=True)
     return [ParameterRow(n, float(m), float(a), float(b), u) for n, m, a, b, u in rows]
 
 
 def _tables(d: Diagnosis) -> list[ReportTable]:
     header = ("model", "reduced chi-squared", "ΔIC", "explained", "cross-validated")
     rows: list[tuple[object, ...]] = [
-        (_called(r) or BASE, r.reduced_chi2, r.delta, f"{r.explained:.0%}",
+        (_called(r) or BASE, r.reduced_chi2, r.delta, share(r.explained),
          "not computed" if r.cross_validated is None else r.cross_validated)
         for r in _ranked(d)
     ]  # fmt: skip
@@ -154,12 +209,12 @@ def _tables(d: Diagnosis) -> list[ReportTable]:
         "Cross-validated: reduced chi-squared in recordings left out of the fit."
     )
     values: list[tuple[object, ...]] = [
-        (name, d.base_values.get(name, "-"), d.best_values.get(name, "-"))
+        (bare(name), d.base_values.get(name, "-"), d.best_values.get(name, "-"))
         for name in dict.fromkeys([*d.base_values, *d.best_values])
     ]
     return [
         ReportTable("Ranking", header, rows, note),
-        ReportTable("Fitted values, SI units", ("parameter", "base model", "repaired model"), values),
+        ReportTable("Fitted values, SI units", ("parameter", BASE, BEST), values),
     ]
 
 
@@ -195,12 +250,19 @@ def _figures(d: Diagnosis) -> list[ReportFigure]:
     scale, unit = readable(d.gap.unit)
     ranked = _ranked(d)
     delta, explained = (np.array([getattr(r, k) for r in ranked]) for k in ("delta", "explained"))
-    floor = scale * d.gap.noise_floor
+    floor, scatter = scale * d.gap.noise_floor, None if d.scatter is None else scale * d.scatter
+    noise = _noise_share(d)
+    repeats = None if d.scatter is None else d.scatter / max(d.swing, 1e-300)
+    reach = "the noise floor" if d.scatter is None else "the scatter of repeats, or the noise floor"
+    name = error_name(d).split(",")[0].replace(" in the one recording", " of the one recording")
     return [
-        ReportFigure("gap.png", gap_figure(scale * d.gap.base, scale * d.gap.repaired, floor, unit=unit),
-                     "Held-out RMSE of both models: the repaired model should come close to the noise floor."),
-        ReportFigure("heat.png", heat_figure(base.heat, best.heat, base.edges, titles=_titles(d)),
-                     "Residual / noise by recording and time: dark windows are where a model is wrong; grey: no data."),
+        ReportFigure("gap.png", gap_figure(scale * d.gap.base, scale * d.gap.repaired, floor, unit=unit,
+                                           scatter=scatter, name=name),
+                     f"{name[0].upper()}{name[1:]} of both models: a good model comes close to {reach}."),
+        ReportFigure("heat.png", heat_figure(base.of_motion, best.of_motion, base.edges, titles=_titles(d), noise=noise,
+                                             scatter=repeats),
+                     "Residual as a share of the motion by recording and time: dark windows are where a model is wrong;"
+                     " grey: no data."),
         _before_after(d),
         _loops(d) if isinstance(d.case, BranchCase) else _against_motion(d, d.case),
         ReportFigure("ranking.png", ranking_figure([_called(r) for r in ranked], delta, explained),
@@ -208,6 +270,13 @@ def _figures(d: Diagnosis) -> list[ReportFigure]:
         ReportFigure("parts.png", shares_figure(base.shares, best.shares),
                      "Residual / noise by part of the motion: parts far above 1 point to the missing law."),
     ]  # fmt: skip
+
+
+def _noise_share(d: Diagnosis) -> float:
+    """Return the noise as a share of the motion, rms over all samples and channels that have noise."""
+    sigma = np.broadcast_to(d.sigma, d.base_output.shape) / motion_of(d.case, d.recordings)
+    used = [x[: len(r.t)][:, x.max(axis=0) > 0.0] for x, r in zip(sigma, d.recordings, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate([x.ravel() for x in used]) ** 2)))
 
 
 def _titles(d: Diagnosis) -> list[str]:

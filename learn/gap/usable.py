@@ -2,13 +2,35 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
+import numpy as np
+import torch
+
+from ...sim.base.types import Array
 from ..cases.case import BranchCase, JointCase
-from ..replay.equation_error import recordings_of
+from ..cases.joints import JointSpec
+from ..replay.equation_error import recordings_of, thinned
+from ..replay.recording import Recording
+from ..systems.choose import system_of
+from .models.contest import Batch, Contest
+from .models.fitted import QUIET, FittedModels, Model
+from .models.refit import Fits, fit
+from .where import joint_motion
 
 #: Largest noise relative to the rms of the motion.
 MOST_NOISE = 0.7
+#: Least number of measured values for every unknown of the base model, its start states and a law: ten to twenty is
+#: usual for a fit that is to say something about other data (Harrell, Regression Modeling Strategies, 2015, 4.4).
+PER_UNKNOWN = 10
+#: Parameters of a typical law.
+LAW = 3
+#: Factor between what recordings say of one plant from which it is not one; share of the best model's excess that fits
+#: to each recording alone may leave for that; steps of such a fit; least motion of a recording beside the largest.
+APART, SEPARATE_LEAVE, SEPARATE_STEPS, LIVELY = 1.5, 0.25, 20, 0.1
+#: Rate, relative to the largest, from which a joint moves; share of moving samples that make a direction.
+MOVING, DIRECTION = 0.05, 0.02
 
 
 def nothing_moves(case: BranchCase | JointCase) -> str | None:
@@ -21,10 +43,17 @@ def nothing_moves(case: BranchCase | JointCase) -> str | None:
 
 
 def too_few(case: BranchCase | JointCase) -> str | None:
-    """Return that a branch has too few trajectories, or None."""
+    """Return that a branch has too few trajectories, or a case too few samples for its unknowns, or None."""
     if isinstance(case, BranchCase) and len(case.trajectories) < 2:
         return "one trajectory can be fitted by almost any effect; push in two more directions"
-    return None
+    recorded = [thinned(case, r) for r in recordings_of(case)]
+    unknowns = len(system_of(case).parameters) + sum(r.start.size for r in recorded) + LAW
+    samples, needed = sum(len(r.t) for r in recorded), PER_UNKNOWN * unknowns
+    channels = max(1, int(np.ptp(np.concatenate([r.output for r in recorded]), axis=0).astype(bool).sum()))
+    if samples * channels >= needed:
+        return None
+    return (f"{samples} samples are too few for {unknowns} unknowns (the model's, its start states and a law's); record"
+            f" {-(-needed // channels)} or more, {PER_UNKNOWN} measured values for each")  # fmt: skip
 
 
 def too_noisy(motion: float) -> str | None:
@@ -32,3 +61,122 @@ def too_noisy(motion: float) -> str | None:
     if motion < 1.0 / MOST_NOISE:
         return "noise is as large as the motion; push harder, or average repeated pushes"
     return None
+
+
+# ---- one and the same plant -----------------------------------------------------------------------------------------
+
+
+def different_plants(fitted: FittedModels, model: Model) -> str | None:
+    """Return that the recordings do not look like one and the same plant, or None.
+
+    The base model is fitted to each recording by itself. If that explains what even the preferred model of all
+    recordings leaves, and the springs that it finds differ by more than `APART`, either several plants were recorded
+    into one case or it was changed in between. A mechanism from an MJCF file is not checked.
+    """
+    contest, case = fitted.contest, fitted.contest.case
+    count = len(contest.recordings)
+    left = model.chi2 - contest.num_samples
+    if count < 2 or fitted.reduced_chi2(model) <= QUIET or (isinstance(case, JointCase) and case.mjcf is not None):
+        return None
+    alone = _each_alone(contest, fitted.base.fit.batch)
+    if float(alone.chi2.sum()) - contest.num_samples > SEPARATE_LEAVE * left:
+        return None
+    values = contest.values(alone.batch)[:, : contest.num_base].cpu().numpy()
+    names, size = [p.name for p in contest.parameters[: contest.num_base]], [_rms(r) for r in contest.recordings]
+    seen = [j for j in range(count) if size[j] > LIVELY * max(size)]
+    for what, numbers in plant_numbers(case, [dict(zip(names, row, strict=True)) for row in values]).items():
+        low, high = min(seen, key=lambda j: numbers[j]), max(seen, key=lambda j: numbers[j])
+        if numbers[high] > APART * numbers[low]:
+            first, second = (f"recording {j + 1} ({case.trajectories[j].file})" for j in (high, low))
+            return (f"these recordings do not look like one and the same plant: fitted by itself, {first} has"
+                    f" {numbers[high] / numbers[low]:.3g} times the {what} of {second}; make a case of each plant, or"
+                    " record again without a change in between")  # fmt: skip
+    return None
+
+
+def _each_alone(contest: Contest, base: Batch) -> Fits:
+    """Fit the base model to each of R recordings by itself, from the fit to all and from what it suggests itself."""
+    case, count = contest.case, len(contest.recordings)
+    batch = base[torch.zeros(2 * count, dtype=torch.long, device=contest.place)]
+    batch.weight = torch.eye(count).repeat(2, 1).to(batch.free)
+    if isinstance(case, JointCase):  # swings of another frequency end in false minima from the fit to all
+        for j, t in enumerate(case.trajectories):
+            own = system_of(replace(case, trajectories=(t,), train=None, test=None)).parameters
+            batch.free[count + j, : contest.num_base] = torch.tensor([p.start for p in own]).to(batch.free)
+        batch.free[count:] = batch.free[count:].clamp(contest.low, contest.high)
+    fits = fit(contest, batch, SEPARATE_STEPS)
+    chi2 = fits.chi2.view(2, count)
+    return fits[torch.arange(count, device=contest.place) + count * chi2.argmin(0)]
+
+
+def _rms(r: Recording) -> float:
+    """Return the rms of a recording's channels about their means."""
+    return float(np.sqrt(np.mean((r.output - r.output.mean(axis=0)) ** 2)))
+
+
+def plant_numbers(case: BranchCase | JointCase, values: Sequence[dict[str, float]]) -> dict[str, list[float]]:
+    """Return what one recording suffices to know of a plant, by name, for each set of base parameters.
+
+    Of a branch how far its grasp point gives way to a force, sum lever^2 / K; of a joint on a fixed frame spring and
+    gravity torque over inertia, or the inertia where neither is there.
+    """
+    if isinstance(case, BranchCase):
+        link, along = case.grasp_segment, case.grasp_distance
+        point = case.lower_end[link] + case.axis[link] * along
+        lever = np.linalg.norm(point - case.lower_end[: link + 1], axis=1)
+        spring = [np.array([v[f"stiffness {n}"] for n in case.segment_name[: link + 1]]) for v in values]
+        return {"compliance at the grasp point": [float(np.sum(lever**2 / k)) for k in spring]}
+    return {what: [own(v) for v in values] for j in case.joints if isinstance(j, JointSpec)
+            for what, own in [_joint_number(j)]}  # fmt: skip
+
+
+def _joint_number(joint: JointSpec) -> tuple[str, Callable[[dict[str, float]], float]]:
+    """Return the name of a joint's number and the function of base parameters that gives it."""
+    gravity = joint.gravity_torque
+
+    def known(v: dict[str, float], kind: str, value: float | None) -> float:
+        return v.get(f"{kind} {joint.name}", value or 0.0)
+
+    def inertia(v: dict[str, float]) -> float:
+        return known(v, "inertia", joint.inertia)
+
+    def frequency(v: dict[str, float]) -> float:
+        hanging = known(v, "gravity torque", gravity.amplitude if gravity else None)
+        return (known(v, "stiffness", joint.stiffness) + hanging) / inertia(v)
+
+    if joint.stiffness == 0.0 and (gravity is None or gravity.amplitude == 0.0):
+        return f"inertia of {joint.name}", inertia
+    return f"squared frequency of {joint.name}", frequency
+
+
+# ---- friction and offset --------------------------------------------------------------------------------------------
+
+
+def one_way(case: BranchCase | JointCase, recordings: Sequence[Recording], values: dict[str, float]) -> tuple[str, ...]:
+    """Return a remark for every joint that moves in one direction only while a constant effort on it is free.
+
+    Coulomb's friction is such a constant then: the offset holds it, and nothing seems to be missing.
+    """
+    if isinstance(case, BranchCase):
+        return ()
+    out = []
+    for joint in case.joints:
+        name = next((n for n in (f"offset {joint.name}", f"preload {joint.name}") if n in values), None)
+        motion = [joint_motion(case, r).get(joint.name, (None, None)) for r in recordings]
+        rates = [rate for _, rate in motion if rate is not None]
+        if name is None or not rates or turns_back(rates):
+            continue
+        unit = "N m" if joint.type == "revolute" else "N"
+        out.append(
+            f"Joint {joint.name} moves in one direction only: dry friction and a constant offset cannot be told apart,"
+            f" so the fitted {name} of {values[name]:.3g} {unit} may be friction; record the same motion both ways."
+        )
+    return tuple(out)
+
+
+def turns_back(rates: Sequence[Array]) -> bool:
+    """Return whether a joint with these rates, arrays [T], moves in both directions."""
+    rate = np.concatenate(list(rates))
+    moving = rate[np.abs(rate) > MOVING * np.quantile(np.abs(rate), 0.99)]
+    forward = float(np.mean(moving > 0.0)) if len(moving) else 0.5
+    return min(forward, 1.0 - forward) >= DIRECTION

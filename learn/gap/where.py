@@ -3,6 +3,10 @@
 The normalised residual is measured minus simulated, divided by the standard deviation of the noise. Its rms is one
 where only noise is left. A part stands out if its rms is at least `CONTRAST` times that of the rest of its kind.
 
+A good sensor's noise says nothing of what a model can reach: beside an encoder's 45 nm every residual is a thousand
+times too large. What is drawn is therefore the residual as a share of the motion, and where an experiment was repeated,
+the scatter of its repeats.
+
 The residual torque of a branch's joints is quasi-static: an extra torque tau_i turns joint i by tau_i / K_i and moves
 the grasp point by that angle times its lever arm in the rest pose. Inertia, and gravity's share in the stiffness, are
 neglected. The grasp point gives three values per window and each joint has three unknown torques, so ridge regression
@@ -20,6 +24,7 @@ from scipy.signal import savgol_filter
 
 from ...sim.base.types import Array
 from ..cases.case import BranchCase, JointCase
+from ..inference.predict import main_channels
 from ..replay.equation_error import fits_torque
 from ..replay.recording import Recording
 from .diagnosis import Share, Where
@@ -31,8 +36,8 @@ WINDOWS, FEWEST = 16, 4
 CONTRAST, ENOUGH = 1.3, 10
 #: Most trajectories that are named, and the least rms relative to the worst one's.
 NAMED, NEARLY = 3, 0.7
-#: Normalised residual assigned to a simulation that is not finite.
-BROKEN = 1e3
+#: Residual assigned to a simulation that is not finite, in units of the motion's rms.
+BROKEN = 10.0
 #: The force counts as held where it changes by less than this share of its peak over a window of this share of the
 #: recording; below that share of the peak there is no force.
 STEADY, SLOPE_WINDOW = 0.05, 0.04
@@ -48,6 +53,8 @@ PARTS: dict[str, tuple[str, ...]] = {
     "phase": tuple(PHASES), "direction": DIRECTIONS, "amplitude": ("small", "medium", "large"),
     "speed": ("low", "medium", "high"),
 }  # fmt: skip
+#: Regime where no part stands out: true beside an effect that is spread over all of the motion, too.
+NOWHERE = f"nowhere above {CONTRAST} times the noise"
 Labels = list[NDArray[np.str_]]
 
 
@@ -65,9 +72,10 @@ def locate(
         output: Simulated channels, shape [R, T, C].
         stiffness: Springs of a branch's joints [N m/rad], shape [J], for the torque; None leaves it out.
     """
-    squares = [np.nanmean(z**2, axis=1) for z in scaled(recordings, sigma, output)]
+    squares = [np.nanmean(z**2, axis=1) for z in scaled(case, recordings, sigma, output)]
     edges = window_edges(recordings)
     heat = _heat(recordings, squares, edges)
+    part = [np.nanmean(z**2, axis=1) for z in shares_of_motion(case, recordings, sigma, output)]
     worst = _worst(np.array([np.sqrt(s.mean()) for s in squares]))
     shares = _shares(parts_of(case, recordings), squares)
     torque: Array | None = None
@@ -77,7 +85,8 @@ def locate(
         own, prominent = _by_joint(case, recordings, torque, noise)
         shares, joints = shares + own, prominent if worst else ()
     windows = tuple(_window(heat, edges, recordings[j], j) for j in worst)
-    return Where(worst, windows, joints, regime(shares), heat, edges, tuple(shares), torque)
+    of_motion = _heat(recordings, part, edges)
+    return Where(worst, windows, joints, regime(shares), heat, edges, tuple(shares), torque, of_motion)
 
 
 def noise_seen(contest: Contest) -> Array:
@@ -88,17 +97,70 @@ def noise_seen(contest: Contest) -> Array:
     return (contest.sigma * (1.0 + added).sqrt()).cpu().numpy()
 
 
-def scaled(recordings: Sequence[Recording], sigma: Array, output: Array) -> list[Array]:
+def scaled(
+    case: BranchCase | JointCase, recordings: Sequence[Recording], sigma: Array, output: Array
+) -> list[Array]:  # fmt: skip
     """Return the normalised residuals of each recording, [T, C]; NaN in channels without noise."""
-    out = []
-    noise = np.broadcast_to(sigma, output.shape)
-    for r, own, simulated in zip(recordings, noise, output, strict=True):
-        n = len(r.t)
+    broken, out = BROKEN * motion_of(case, recordings), []
+    for r, own, simulated in zip(recordings, np.broadcast_to(sigma, output.shape), output, strict=True):
+        noise = own[: len(r.t)]
         with np.errstate(divide="ignore", invalid="ignore"):
-            z = (r.output - simulated[:n]) / own[:n]
-        z = np.clip(np.nan_to_num(z, nan=BROKEN), -BROKEN, BROKEN)
-        out.append(np.where(own[:n] > 0.0, z, np.nan))
+            out.append(np.where(noise > 0.0, _residual(r, simulated, broken) / noise, np.nan))
     return out
+
+
+def shares_of_motion(
+    case: BranchCase | JointCase, recordings: Sequence[Recording], sigma: Array, output: Array
+) -> list[Array]:
+    """Return the residuals of each recording as shares of the motion's rms, [T, C]; NaN in channels without noise."""
+    spread = motion_of(case, recordings)
+    broken = BROKEN * spread
+    used = np.broadcast_to(sigma, output.shape).reshape(-1, output.shape[-1]).max(axis=0) > 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return [
+            np.where(used, _residual(r, simulated, broken) / spread, np.nan)
+            for r, simulated in zip(recordings, output, strict=True)
+        ]
+
+
+def _residual(r: Recording, simulated: Array, broken: Array) -> Array:
+    """Return measured minus simulated [T, C]; ``broken`` [C] where the simulation is not finite or farther away."""
+    away = np.nan_to_num(r.output - simulated[: len(r.t)], nan=np.inf)
+    return np.where(np.abs(away) < broken, away, np.copysign(broken, away))
+
+
+def motion_of(case: BranchCase | JointCase, recordings: Sequence[Recording]) -> Array:
+    """Return the rms of every channel's motion, [C]: about rest for a branch, its axes together; else about its mean.
+
+    The zero of an encoder is anywhere, so a joint's motion is what it does about the mean of each recording.
+    """
+    if not isinstance(case, BranchCase):
+        away = np.concatenate([r.output - r.output.mean(axis=0) for r in recordings])
+        return np.maximum(np.sqrt(np.mean(away**2, axis=0)), 1e-300)
+    squares = np.mean(np.concatenate([r.output for r in recordings]) ** 2, axis=0).reshape(2, 3)
+    axes = 2 if case.planar else 3
+    return np.maximum(np.sqrt(squares.sum(axis=1) / axes), 1e-300).repeat(3)
+
+
+def swing_of(case: BranchCase | JointCase, recordings: Sequence[Recording], chosen: Sequence[int]) -> float:
+    """Return the rms motion of some recordings in the main channels, as `motion_of` takes it."""
+    main = list(main_channels(case))
+    return float(np.sqrt(np.mean(motion_of(case, [recordings[j] for j in chosen])[main] ** 2)))
+
+
+def replicate_scatter(case: BranchCase | JointCase, recordings: Sequence[Recording]) -> float | None:
+    """Return the rms by which repeats of an experiment scatter in the main channels; None where none was repeated.
+
+    Half the mean square of the difference of two repeats: noise, and all that was not the same in both. No model of
+    the input can do better on the average.
+    """
+    main, squares = list(main_channels(case)), []
+    for j, t in enumerate(case.trajectories):
+        if t.replicate_of is not None:
+            one, other = (recordings[k].output[:, main] for k in (j, t.replicate_of))
+            n = min(len(one), len(other))
+            squares.append(((one[:n] - other[:n]) ** 2).ravel() / 2.0)
+    return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
 
 
 def window_edges(recordings: Sequence[Recording]) -> Array:
@@ -236,7 +298,7 @@ def regime(shares: Sequence[Share]) -> str:
         phrases += [form.format(max(own, key=lambda s: s.ratio).part) for own in [prominent[kind]] if own]
     if text := ", ".join(p for p in phrases if p):
         return text
-    return "everywhere alike" if any(s.ratio > CONTRAST for s in shares) else "nowhere beyond the noise"
+    return "everywhere alike" if any(s.ratio > CONTRAST for s in shares) else NOWHERE
 
 
 def _prominent(shares: Sequence[Share]) -> list[Share]:

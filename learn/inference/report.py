@@ -77,6 +77,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             f"{name}_{unit}": x.tolist() for name, x in zip(("amplitude", "misfit"), p.by_amplitude(), strict=True)
         },
         "starts_that_agree": outcome.posterior.agreement,
+        "caveat": caveat(outcome),
         "converged": outcome.posterior.convergence.converged,
         "convergence": outcome.posterior.convergence.reason,
         "diagnostics": outcome.posterior.convergence.numbers,
@@ -127,13 +128,31 @@ def headline(outcome: Outcome) -> tuple[str, str]:
     agree = outcome.posterior.agreement >= 0.25
     why = (
         f"the fit is not the cause ({outcome.posterior.agreement:.0%} of the starts found the same optimum): "
-        "the model lacks an effect that the data contain"
+        f"the model lacks an effect that the data contain, and the intervals do not allow for it. {_advice(outcome)}"
         if agree
-        else "few starts agree on an optimum, so the fit itself may have failed"
+        else "few starts agree on an optimum, so the fit itself may have failed, and the intervals with it"
     )
+    error = "RMSE in the one recording, which was fitted to," if _alone(outcome) else "held-out RMSE"
     return (
-        f"The held-out RMSE is {outcome.ratio:.1f} times the noise floor ({rms} against {floor}); {why}.",
+        f"The {error} is {outcome.ratio:.1f} times the noise floor ({rms} against {floor}); {why}.",
         "warning" if agree else "bad",
+    )
+
+
+def _advice(outcome: Outcome) -> str:
+    return f"Run bough diagnose {outcome.case.folder} to find it"
+
+
+def caveat(outcome: Outcome) -> str:
+    """Return what to know before the intervals are used: they hold if the model does; empty where it does."""
+    if not outcome.posterior.convergence.converged:
+        return "The sampler did not converge: these intervals are not those of the posterior."
+    if outcome.ratio <= TOLERANCE:
+        return ""
+    return (
+        f"These intervals hold only if the model is right, and it misses the motion by {outcome.ratio:.1f} times the"
+        " noise: what it lacks is put into springs and dampers, and the true values may lie far outside (a damper came"
+        f" to 2.14 to 2.54 where it was 0.47). {_advice(outcome)}, then identify again with --model."
     )
 
 
@@ -165,6 +184,7 @@ def content(outcome: Outcome) -> ReportContent:
         status=status,  # type: ignore[arg-type]
         numbers=[*numbers, *_acting(outcome.settings)],
         parameters=[ParameterRow(n, float(m), float(a), float(b), u) for n, m, a, b, u in rows],
+        caveat=caveat(outcome),
         figures=_figures(outcome, scale, unit),
         details={
             "training trajectories": ", ".join(outcome.case.trajectories[j].file for j in outcome.train),
@@ -191,11 +211,13 @@ def _acting(s: Settings) -> list[KeyNumber]:
 
 def _notes(outcome: Outcome) -> list[str]:
     """Return the case's warnings, and what is not held out."""
-    seen = outcome.train == outcome.test
-    return [
-        *outcome.case.warnings,
-        *(["one recording: nothing is held out, scores are of the training data"] if seen else []),
-    ]
+    said = ["one recording: nothing is held out, scores are of the training data"] if _alone(outcome) else []
+    return [*outcome.case.warnings, *said]
+
+
+def _alone(outcome: Outcome) -> bool:
+    """Return whether there is one recording only, which is training data and test."""
+    return len(outcome.case.trajectories) == 1
 
 
 def _method(outcome: Outcome) -> dict[str, str | int | float]:

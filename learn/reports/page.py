@@ -87,6 +87,7 @@ class ReportContent:
         status: ``good``, ``warning`` or ``bad``; colours the headline.
         numbers: Key numbers.
         parameters: Inferred parameters; the table is left out if there are none.
+        caveat: What to know before the parameters' intervals are used, below their table; may be empty.
         figures: Figures in reading order.
         details: How it was computed: settings, versions, seeds, machine.
         further: Further reading: pairs of a file, command or page and what it holds.
@@ -98,6 +99,7 @@ class ReportContent:
     status: Literal["good", "warning", "bad"]
     numbers: list[KeyNumber]
     parameters: list[ParameterRow] = field(default_factory=list)
+    caveat: str = ""
     figures: list[ReportFigure] = field(default_factory=list)
     details: dict[str, object] = field(default_factory=dict)
     further: list[tuple[str, str]] = field(default_factory=list)

@@ -7,10 +7,12 @@ import signal
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 
 @contextmanager
@@ -37,22 +39,62 @@ def uninterrupted() -> Iterator[None]:
 def bar(text: str, total: int | None) -> Iterator[Callable[[int], None]]:
     """Show a progress bar on stderr while the block runs; yield the function that advances it by so many.
 
-    Without a ``total`` the bar only shows that something happens, and for how long. It vanishes at the end, and where
-    stderr is no terminal nothing is shown.
+    Without a ``total`` the bar only shows that something happens, and for how long. It vanishes at the end. Where
+    stderr is no terminal, plain lines stand for it (`bars`).
     """
     with bars({text: total}) as advance:
         advance(text, 0)
         yield lambda count: advance(text, count)
 
 
+#: Seconds between plain lines, and before the first: what is done sooner says nothing.
+EVERY = 10.0
+#: Seconds after which what happens meanwhile has a plain line.
+SOON = 2.0
+#: What is called with a text, and with None once it is over, while a command shows its progress (`meanwhile`).
+_listening: list[Callable[[str | None], None]] = []
+
+
 @contextmanager
 def bars(totals: Mapping[str, int | None]) -> Iterator[Callable[[str, int], None]]:
     """Show progress through stages, a bar each from when it is first reported on; otherwise as `bar`.
+
+    Where stderr is no terminal (a pipe, a log file) there is a plain line every `EVERY` seconds, and one where a stage
+    ends or begins after the first such line.
 
     Args:
         totals: Steps of every stage by what its bar says; None where the number is not known.
     """
     from rich.console import Console
+
+    console = Console(stderr=True)
+    with _drawn(totals, console) if console.is_terminal else _written(totals) as (advance, listener):
+        _listening.append(listener)
+        try:
+            yield advance
+        finally:
+            _listening.remove(listener)
+
+
+@contextmanager
+def meanwhile(text: str) -> Iterator[None]:
+    """Say under a command's progress what takes so long while the block runs; say nothing outside of a command."""
+    said = _listening[-1] if _listening else None
+    if said is not None:
+        said(text)
+    try:
+        yield
+    finally:
+        if said is not None:
+            said(None)
+
+
+Shown = tuple[Callable[[str, int], None], Callable[[str | None], None]]
+
+
+@contextmanager
+def _drawn(totals: Mapping[str, int | None], console: Any) -> Iterator[Shown]:
+    """Draw bars on a terminal."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeElapsedColumn
     from rich.text import Text
 
@@ -60,10 +102,10 @@ def bars(totals: Mapping[str, int | None]) -> Iterator[Callable[[str, int], None
         def render(self, task: Task) -> Text:
             return Text() if task.total is None else super().render(task)
 
-    console = Console(stderr=True)
     columns = [TextColumn("{task.description}"), BarColumn(), Count(), TimeElapsedColumn()]
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with Progress(*columns, console=console, transient=True) as progress:
         tasks = {name: progress.add_task(name, total=n, visible=False, start=False) for name, n in totals.items()}
+        aside = progress.add_task("", total=None, visible=False, start=False)
         current: list[str] = []
 
         def advance(stage: str, count: int) -> None:
@@ -74,7 +116,57 @@ def bars(totals: Mapping[str, int | None]) -> Iterator[Callable[[str, int], None
                 progress.start_task(tasks[stage])
             progress.update(tasks[stage], advance=count, visible=True)
 
-        yield advance
+        def listen(text: str | None) -> None:
+            progress.reset(aside, start=text is not None, description=text or "", visible=text is not None)
+
+        yield advance, listen
+
+
+@contextmanager
+def _written(totals: Mapping[str, int | None]) -> Iterator[Shown]:
+    """Write plain lines on stderr."""
+    begun, names = time.monotonic(), list(totals)
+    done = dict.fromkeys(totals, 0)
+    now, last, told = [names[0]], [begun], [False]  # stage under way, time of the last line, whether it has one
+    waiting: list[threading.Timer] = []
+    ended = threading.Event()
+
+    def write(text: str) -> None:
+        last[0] = time.monotonic()
+        print(f"bough: {last[0] - begun:.0f} s: {text}", file=sys.stderr, flush=True)
+
+    def tell() -> None:
+        stage, told[0] = now[0], True
+        of = "" if totals[stage] is None else f" of {totals[stage]}"
+        write(f"{stage}, {done[stage]}{of}" if done[stage] else stage)
+
+    def advance(stage: str, count: int) -> None:
+        changed, now[0] = stage != now[0], stage
+        done[stage] += count
+        if time.monotonic() - last[0] >= EVERY or (changed and told[0]):
+            tell()
+        at = names.index(stage) + 1
+        if done[stage] == totals[stage] and at < len(names):
+            now[0] = names[at]
+
+    def beat() -> None:
+        while not ended.wait(EVERY or 1.0):
+            if time.monotonic() - last[0] >= 0.99 * EVERY:
+                tell()
+
+    def listen(text: str | None) -> None:
+        while waiting:
+            waiting.pop().cancel()
+        if text is not None:
+            waiting.append(threading.Timer(SOON, write, [text]))
+            waiting[0].daemon = True
+            waiting[0].start()
+
+    threading.Thread(target=beat, daemon=True).start()
+    try:
+        yield advance, listen
+    finally:
+        ended.set()
 
 
 def warn(text: str) -> None:

@@ -38,6 +38,7 @@ class Setting:
         start, end: First and last moment of the recordings on the absolute clock [s].
         duration: Length of the longest recording [s].
         moments: Some moments inside every recording, on the absolute clock [s].
+        slides: Whether the joint slides: metres and newtons stand for radians and newton metres.
     """
 
     torque: float = 1.0
@@ -54,6 +55,7 @@ class Setting:
     end: float = 1.0
     duration: float = 1.0
     moments: tuple[float, ...] = (0.5,)
+    slides: bool = False
 
     @property
     def stiffness(self) -> float:

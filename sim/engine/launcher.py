@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from ...kernels.tree.layout import layout_of
+from ..base.console import meanwhile
 from ..base.host import num_threads
 from ..base.thread_pool import Launches, recorded, together
 from .arrays import LaneArray
@@ -23,6 +26,9 @@ _SCRATCH = {
 #: Bytes left free between the scratch rows of two CPU threads. Rows side by side, two threads ran 1.05 times as fast as
 #: one: their neighbouring lines were fetched back and forth; a page apart, 1.9 times.
 APART = 4096
+
+#: What is said while a module is compiled.
+COMPILING = "compiling kernels (once for each set of laws; minutes)"
 
 #: Threads of a block on a GPU: one warp, so that a thousand worlds occupy 32 multiprocessors instead of four.
 BLOCK = 32
@@ -77,7 +83,7 @@ class Launcher:
         groups run on the calling thread, as a graph capture needs.
         """
         block = BLOCK if self.device.is_cuda else 1
-        kernel.module.load(self.device, block_dim=block)  # as launches do: compile once
+        load(kernel.module, self.device, block)
         ranges = self._ranges if split else [(0, self.model.groups)]
         commands = [
             recorded(
@@ -90,6 +96,14 @@ class Launcher:
             for row, (a, b) in enumerate(ranges)
         ]
         return together([[c] for c in commands])
+
+
+def load(module: Any, device: Any, block: int) -> None:
+    """Load a kernel's module as launches do, and say so where it must be compiled, which takes up to minutes."""
+    wp.init()  # the cache has its place from then on
+    kept = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block)
+    with nullcontext() if any(kept.glob("*.o" if device.is_cpu else "*.sm*")) else meanwhile(COMPILING):
+        module.load(device, block_dim=block)
 
 
 class Recorded:

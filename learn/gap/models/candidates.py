@@ -10,8 +10,10 @@ from typing import Literal
 import numpy as np
 
 from ....sim.base.errors import InputError
-from ....sim.effects import Effect, EffectParameter, Setting, effect_of, effects
+from ....sim.effects import Effect, EffectParameter, Law, Setting, effect_of, effects
+from ....sim.formats.import_mjcf import load_mjcf
 from ...cases.case import BranchCase, JointCase
+from ...cases.joints import JointSpec
 from ...replay.equation_error import fits_torque
 from ...systems.acting import Acting
 from ...systems.system import Parameter
@@ -79,17 +81,36 @@ def _possible(effect: Effect, case: BranchCase | JointCase) -> bool:
     law = effect.joint
     if law is None or (fits_torque(case) and law.kind != "joint"):
         return False
+    if needs_spring(law) and not any(springs(case)):
+        return False
     return law.kind == "joint" or bool(case.inputs)
+
+
+def needs_spring(law: Law) -> bool:
+    """Return whether a law is a share of the joint's spring, so that it is nothing where there is none."""
+    return law.law is not None and "stiffness" in law.law.func.__code__.co_names
+
+
+def springs(case: BranchCase | JointCase) -> list[bool]:
+    """Return for every joint whether it may have a spring: one that is unknown, or known and not zero."""
+    if isinstance(case, BranchCase):
+        return [True] * case.num_segments
+    if case.mjcf is None:
+        return [not isinstance(j, JointSpec) or j.stiffness != 0.0 for j in case.joints]
+    tree = load_mjcf(case.mjcf).tree
+    unknown = [{"stiffness", f"stiffness {j.name}"} & set(case.unknown) for j in case.joints]
+    return [bool(u) or float(tree.stiffness[j.link]) != 0.0 for u, j in zip(unknown, case.joints, strict=True)]
 
 
 def everywhere(case: BranchCase | JointCase, names: Iterable[str]) -> tuple[Acting, ...]:
     """Return every effect at every place where it can act."""
     form: Literal["branch", "joint"] = "branch" if isinstance(case, BranchCase) else "joint"
-    count = case.num_segments if isinstance(case, BranchCase) else len(case.joints)
+    sprung = springs(case)
     out: list[Acting] = []
     for name in names:
         law = effect_of(name).law(form)
-        out += [Acting(name, j) for j in range(count)] if law.per_joint else [Acting(name)]
+        joints = [j for j, spring in enumerate(sprung) if spring or not needs_spring(law)]
+        out += [Acting(name, j) for j in joints] if law.per_joint else [Acting(name)]
     return tuple(out)
 
 

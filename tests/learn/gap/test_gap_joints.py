@@ -7,6 +7,7 @@ from bough.learn.cases.case import load_case
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.at_rest import Noise
+from bough.learn.gap.report import content
 from bough.learn.gap.run import Run
 from bough.learn.runs.threads import one_thread
 from bough.learn.systems.acting import integral
@@ -78,6 +79,10 @@ def test_a_cart_that_slides_by_millimetres_rubs(tmp_path):
                             noise=0.002))  # fmt: skip
     assert [a.name for a in found.effects] == ["dry_friction"], found.sentence
     assert found.gap.repaired < found.gap.base / 30
+    assert {n: i.unit for n, i in found.parameters["dry_friction@0"].items()} == {
+        "torque_Nm": "N", "bend_rad": "m", "gradual": "1",
+    }  # fmt: skip
+    assert "N m" not in " ".join(k.unit for k in content(found, drawn=False).numbers)
 
 
 def test_a_magnet_under_a_pendulum_is_not_nothing(tmp_path):

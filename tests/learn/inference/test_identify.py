@@ -37,7 +37,8 @@ def test_branch_from_another_simulator(branch, tmp_path):
     assert 0 < report["interval_95_width_m"] < 8 * report["noise_floor_m"]
     found = [report["parameters"][n]["median"] for n in outcome.posterior.names[:2]]
     assert np.abs(np.array(found) / truth["K"] - 1).max() < 0.12
-    assert report["starts_that_agree"] >= 0.25
+    assert report["starts_that_agree"] >= 0.25 and report["caveat"] == ""
+    assert "bough diagnose " not in (tmp_path / "out" / "report.html").read_text().split("</h1>")[0]
     for name in ("posterior.npz", "report.html", "prediction.png", "residual.png", "posterior.png"):
         assert (tmp_path / "out" / name).stat().st_size > 1000
     with np.load(tmp_path / "out" / "posterior.npz") as posterior:
@@ -72,7 +73,9 @@ def test_real_pendulum_lacks_something(tmp_path):
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["rms_misfit_deg"] <= 5.5
     assert report["misfit_over_noise"] > 20
-    assert "the fit is not the cause" in (tmp_path / "out" / "report.html").read_text()
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "the fit is not the cause" in page and f"Run bough diagnose {PENDULUM}" in page
+    assert "hold only if the model is right" in page and "hold only if the model is right" in report["caveat"]
 
 
 def test_split_holds_out_what_nothing_repeats(branch):

@@ -16,11 +16,11 @@ from bough.learn.inference.target import Target
 from bough.learn.replay.equation_error import EquationError, torque_recordings
 from bough.learn.replay.recording import recordings
 from bough.learn.replay.rollout import Rollout
-from bough.learn.systems.acting import Acting
+from bough.learn.systems.acting import Acting, unit_at
 from bough.learn.systems.branch import Unknowns
 from bough.learn.systems.system import free_of
 from bough.sim.base.errors import InputError
-from bough.sim.effects import effects
+from bough.sim.effects import Setting, effects
 from bough.sim.trees.measured import measured_tree
 from bough.sim.trees.stiffness import hold_rest_pose
 from bough.sim.trees.tree import Joint, Tree
@@ -271,3 +271,14 @@ def test_torque_fit_takes_effects(tmp_path):
     assert np.abs(extra).max(axis=0).min() > 0.1
     with pytest.raises(InputError, match="force_scale in a torque fit"):
         EquationError(case, chosen, 1, unknowns=Unknowns(effects=(Acting("force_scale", 0),)))
+
+
+def test_units_of_a_slide_are_its_own():
+    """Give a slide's effects metres and newtons where a hinge has radians and newton metres."""
+    turns, slides = Setting(), Setting(slides=True)
+    known = {"N m": "N", "rad": "m", "1/rad^2": "1/m^2", "N m s^2/rad^2": "N s^2/m^2", "s": "s", "1": "1"}
+    for unit, slid in known.items():
+        assert (unit_at(unit, turns), unit_at(unit, slides)) == (unit, slid)
+    assert (unit_at("N m or N", turns), unit_at("N m or N", slides)) == ("N m", "N")
+    known = {p.unit for e in effects() if e.joint for p in e.joint.parameters}
+    assert not [u for u in known if "rad" in unit_at(u, slides) or "N m" in unit_at(u, slides)]

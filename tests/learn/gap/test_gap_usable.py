@@ -1,0 +1,125 @@
+"""What a case cannot say is said: too few samples, other plants, one direction only; laws of springs need a spring."""
+
+import numpy as np
+import pytest
+import yaml
+from bough.learn.cases.case import load_case
+from bough.learn.gap.diagnose import find_missing
+from bough.learn.gap.diagnosis import Settings
+from bough.learn.gap.models.candidates import everywhere, names_for, needs_spring, springs
+from bough.learn.gap.run import Run
+from bough.learn.gap.usable import one_way, plant_numbers, too_few
+from bough.learn.replay.recording import recordings
+from bough.learn.runs.threads import one_thread
+from bough.sim.effects import effects
+from oracles.effect_case import simulate, stick_case, swing_case
+
+HANGING = {"type": "revolute", "inertia": 1.0, "stiffness": 0.0, "damping": None,
+           "gravity_torque": {"amplitude": None, "zero_angle": 0.0}}  # fmt: skip
+
+
+def write(folder, signals, joint, *, rate=50.0, effort=None, quantity="position"):
+    """Write and load a case of one joint, an array [T] of what was measured for every recording."""
+    folder.mkdir()
+    for k, x in enumerate(signals):
+        u = np.zeros_like(x) if effort is None else effort
+        np.savetxt(folder / f"run_{k + 1}.csv", np.column_stack([np.arange(len(x)) / rate, u, x]), fmt="%.9g",
+                   delimiter=",", header="time_s,effort,measured", comments="")  # fmt: skip
+    driven = {"joint": "axis", "column": "effort", "scale": 1.0, "hold": "linear"}
+    meta = {"format": "joint-gap-case/1", "name": folder.name, "mechanism": {"joints": [{"name": "axis"} | joint]},
+            "input": None if effort is None else driven,
+            "outputs": [{"joint": "axis", "quantity": quantity, "column": "measured", "scale": 1.0}],
+            "trajectories": [{"file": f"run_{k + 1}.csv", "t_start_s": 100.0 * k, "replicate_of": None}
+                             for k in range(len(signals))], "noise_nominal": None}  # fmt: skip
+    (folder / "meta.yaml").write_text(yaml.safe_dump(meta))
+    return load_case(folder)
+
+
+def swings(count, square, *, rate=50.0, decay=0.05, noise=1e-3, size=0.02):
+    """Return the decaying swing [count] of a pendulum of a squared frequency, small enough to be linear."""
+    t = np.arange(count) / rate
+    clean = size * np.exp(-decay * t) * np.cos(np.sqrt(square - decay**2) * t)
+    return clean + noise * size * np.random.default_rng(int(square)).standard_normal(count)
+
+
+def test_few_samples_cannot_support_a_verdict(tmp_path):
+    """Refuse 27 samples for a damper, a gravity torque, a start state and a law, and say how many are needed."""
+    few = too_few(write(tmp_path / "few", [swings(27, 14.0)], HANGING))
+    assert few is not None and "27 samples" in few and "7 unknowns" in few and "record 70" in few
+    assert too_few(write(tmp_path / "enough", [swings(70, 14.0)], HANGING)) is None
+    force = np.zeros((60, 3))
+    assert too_few(stick_case(tmp_path / "stick", [force])) is not None
+    assert too_few(stick_case(tmp_path / "sticks", [force, force])) is None
+
+
+def test_other_plants_are_not_one_case(tmp_path):
+    """Abstain where four pendulums of other lengths are recorded as one; say which two differ, and by how much."""
+    case = write(tmp_path / "plants", [swings(300, a) for a in (14.0, 20.0, 30.0, 56.0)], HANGING)
+    with one_thread():
+        found = find_missing(case, Run(Settings(effects=("dry_friction",), particles=0, max_effects=1)))
+    assert found.verdict == "unknown" and found.nearest is None and found.effects == ()
+    words = ("one and the same plant", "recording 4 (run_4.csv)", "recording 1 (run_1.csv)", "squared frequency")
+    assert all(word in found.sentence for word in words), found.sentence
+    ratio = float(found.sentence.split(" has ")[1].split(" times")[0])
+    assert ratio == pytest.approx(56.0 / 14.0, rel=0.01)  # a phase error of 0.1 rad in 40 rad is 0.5 % of the square
+    assert "a case of each plant" in found.next_experiment
+
+
+def test_one_plant_is_one_case(tmp_path):
+    """Leave a pendulum alone that friction stops, from three heights."""
+    t = np.arange(300) / 50.0
+    runs = [np.maximum(size - 0.001 * t, 0.2 * size) * np.cos(np.sqrt(14.0) * t) for size in (0.01, 0.02, 0.015)]
+    runs = [x + 1e-5 * np.random.default_rng(k).standard_normal(len(t)) for k, x in enumerate(runs)]
+    with one_thread():
+        settings = Settings(effects=("dry_friction",), particles=0, max_effects=1)
+        found = find_missing(write(tmp_path / "one", runs, HANGING), Run(settings))
+    assert "plant" not in found.sentence, found.sentence
+
+
+def test_numbers_of_a_plant(tmp_path):
+    """Give way as a lever does: 0.4 m from a joint of 30 N m/rad; a pendulum's square is torque over inertia."""
+    stick = stick_case(tmp_path / "stick", [np.zeros((60, 3))] * 2)
+    assert plant_numbers(stick, [{"stiffness stick": 30.0}]) == {
+        "compliance at the grasp point": [pytest.approx(0.16 / 30.0)]
+    }
+    case = write(tmp_path / "hanging", [swings(100, 14.0)] * 2, HANGING | {"inertia": 2.0})
+    assert plant_numbers(case, [{"gravity torque axis": 28.0}]) == {"squared frequency of axis": [14.0]}
+
+
+@pytest.mark.parametrize(("kind", "unit"), [("revolute", "N m"), ("prismatic", "N")])
+def test_motion_one_way_leaves_friction_open(tmp_path, kind, unit):
+    """Remark that an offset may be friction where a joint never turns back, in the joint's unit, and what to record."""
+    t = np.arange(200) / 50.0
+    joint = {"type": kind, "inertia": None, "stiffness": 0.0, "damping": None}
+    values, effort = {"offset axis": -0.4, "damping axis": 1.0}, 1.0 + np.sin(t)
+    forward = write(tmp_path / "forward", [1.0 + 0.5 * np.sin(t)], joint, effort=effort, quantity="velocity")
+    said = one_way(forward, recordings(forward), values)
+    assert len(said) == 1 and f"offset axis of -0.4 {unit} may be friction" in said[0] and "both ways" in said[0]
+    assert one_way(forward, recordings(forward), {"damping axis": 1.0}) == ()  # no offset is free
+    both = write(tmp_path / "both", [np.sin(t)], joint, effort=effort, quantity="velocity")
+    assert one_way(both, recordings(both), values) == ()
+
+
+def test_laws_of_springs_are_nothing_without_one(tmp_path):
+    """Find by simulation which laws change the motion of a joint without a spring: those that are tried there."""
+    case = swing_case(tmp_path / "case", [(0.4, 1.0)])
+    size = {"dry_friction": {"torque_Nm": 0.3, "bend_rad": 1e-3}, "quadratic_drag": {"coefficient_Nms2": 0.5},
+            "cubic_stiffness": {"cubic_radm2": 5.0}, "bilinear_stiffness": {"relative": 1.0},
+            "backlash": {"gap_rad": 0.1},
+            "hysteresis_boucwen": {"share": 0.5, "yield_rad": 0.1}, "plastic_set": {"share": 0.5, "yield_rad": 0.1},
+            "viscoelastic_sls": {"share": 0.5, "relaxation_s": 0.3}}  # fmt: skip
+    laws = {e.name: e.joint for e in effects() if e.joint is not None and e.joint.kind == "joint"}
+    assert laws.keys() == size.keys()
+    free = simulate(case, 0.0, 0.2, start=[0.4, 1.0])
+    for name, law in laws.items():
+        moved = np.abs(simulate(case, 0.0, 0.2, start=[0.4, 1.0], **{name: size[name]}) - free).max()
+        assert needs_spring(law) == (moved == 0.0), name
+
+
+def test_springless_joints_are_not_tried_with_springs(tmp_path):
+    """Try friction and drag at a pendulum without a spring; all laws where a spring is unknown."""
+    hanging = write(tmp_path / "hanging", [swings(100, 14.0)] * 2, HANGING)
+    assert springs(hanging) == [False] and set(names_for(hanging)) == {"dry_friction", "quadratic_drag"}
+    sprung = write(tmp_path / "sprung", [swings(100, 14.0)] * 2, HANGING | {"stiffness": None})
+    assert springs(sprung) == [True] and {"cubic_stiffness", "backlash"} < set(names_for(sprung))
+    assert {a.name for a in everywhere(hanging, ["cubic_stiffness", "dry_friction"])} == {"dry_friction"}
