@@ -19,7 +19,7 @@ import torch
 
 from ....sim.base.types import Array
 from ...cases.case import BranchCase, JointCase
-from ...replay.equation_error import simulation_of
+from ...replay.equation_error import fits_torque, simulation_of
 from ...replay.input_noise import Colour
 from ...replay.recording import Recording
 from ...replay.rollout import Rollout
@@ -84,6 +84,7 @@ class Contest:
         num_base: How many are the system's own.
         candidates: Every effect at every place.
         low, high: Box of the free coordinates, shape [n].
+        neutral: Values in SI units of parameters that are not active, shape [n].
         centre, spread: Mean and standard deviation of the normal prior of the free coordinates, shape [n].
         reach: Change of a free coordinate over which the response is about linear, shape [n].
         colour: How noise of the force correlates the residuals; None where it does not.
@@ -91,6 +92,7 @@ class Contest:
             ``nuisance_mean`` and standard deviation ``nuisance_spread``, shape [m].
         overdispersion: Reduced chi-squared expected of the best model; prior terms are scaled by it.
         names: Effects that may act.
+        motion: Measured channels, but joints' positions about their means, [R, T, C]; zero past a recording's end.
         num_samples: Number of measured values with noise above zero, the N of the reduced chi-squared.
         world_steps: World-steps taken so far.
     """
@@ -147,7 +149,7 @@ class Contest:
             column += len(specs)
         off = [spec.neutral for candidate in out for spec in candidate.specs]
         neutral = [p.typical or 1.0 for p in self.parameters[: self.num_base]] + off
-        self._neutral = torch.tensor(neutral, dtype=torch.float64, device=self.place)
+        self.neutral = torch.tensor(neutral, dtype=torch.float64, device=self.place)
         return out
 
     def _prior(self) -> None:
@@ -171,7 +173,18 @@ class Contest:
         for j, r in enumerate(self.recordings):
             self.measured[j, : len(r.t)] = torch.as_tensor(r.output, device=self.place)
         self.start0 = torch.stack([torch.as_tensor(r.start) for r in self.recordings]).to(self.place)
-        self.start_scale = max(float(self.measured.abs().max()), 1e-9)
+        self.motion = self._about_rest()
+        self.start_scale = max(float(self.motion.abs().max()), 1e-9)
+
+    def _about_rest(self) -> torch.Tensor:
+        """Return the measured channels, joints' positions about their means: an encoder's zero means nothing."""
+        if not isinstance(self.case, JointCase) or fits_torque(self.case):
+            return self.measured.clone()
+        place = torch.tensor([o.quantity == "position" for o in self.case.outputs], device=self.place)
+        counts = torch.tensor([len(r.t) for r in self.recordings], device=self.place)
+        inside = (torch.arange(self.measured.shape[1], device=self.place) < counts[:, None])[..., None]
+        mean = self.measured.sum((0, 1)) / float(counts.sum())
+        return torch.where(inside & place, self.measured - mean, self.measured)
 
     def set_noise(self, sigma: Array) -> None:
         """Set the noise of the channels, shape [C]; channels with zero noise are ignored."""
@@ -198,7 +211,7 @@ class Contest:
 
     def values(self, batch: Batch) -> torch.Tensor:
         """Return parameter values in SI units, [S, n]; inactive parameters are neutral."""
-        return torch.where(batch.active, values_of(self.parameters, batch.free), self._neutral)
+        return torch.where(batch.active, values_of(self.parameters, batch.free), self.neutral)
 
     def simulate(self, values: torch.Tensor, start: torch.Tensor) -> torch.Tensor:
         """Return the channels [S, R, T, C] of parameter values [S, n] from start states [S, R, J, 2]."""

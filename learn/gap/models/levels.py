@@ -49,6 +49,18 @@ def first_level(contest: Contest, basis: Basis, scan: Scan, progress: Progress) 
     return _halved(contest, *_started(contest, [(basis, scan, ())], every=True), progress)
 
 
+def better_of(contest: Contest, models: Sequence[Model], earlier: Sequence[Model]) -> list[Model]:
+    """Return the better of two fits of the same effects, both under the present noise model, best first."""
+    if not earlier:
+        return list(models)
+    again = evaluated(contest, Batch.joined([m.fit.batch for m in earlier]))
+    every = [*models, *(Model(m.members, again.one(s), m.settled) for s, m in enumerate(earlier))]
+    out: dict[tuple[int, ...], Model] = {}
+    for m in sorted(every, key=lambda m: m.cost + penalty(contest, m.members)):
+        out.setdefault(m.members, m)
+    return list(out.values())
+
+
 def next_level(contest: Contest, leaders: Sequence[Model], progress: Progress) -> list[Model]:
     """Fit the candidates that the scan favours beside each of the leading models; return the models, best first."""
     scans = []
