@@ -19,9 +19,10 @@ import torch
 
 from ....sim.base.types import Array
 from ...cases.case import BranchCase, JointCase
-from ...replay.equation_error import fits_torque, simulation_of
+from ...replay.equation_error import simulation_of
 from ...replay.input_noise import Colour
-from ...replay.recording import Recording
+from ...replay.motion import about_rest
+from ...replay.recording import Recording, beginning
 from ...replay.rollout import Rollout
 from ...systems.branch import Unknowns
 from ...systems.system import box_of, values_of
@@ -32,6 +33,8 @@ LAUNCH, SMALL = 128, 16
 #: Finite-difference steps, relative to the reach of a free coordinate and to the scale of start states. The wide step
 #: averages over a rugged chi-squared surface; the narrow one has less truncation error where a law is curved.
 STEP, NARROW = 0.01, 0.002
+#: Least length of the beginning of a recording, in samples.
+FEWEST = 20
 #: Prior standard deviation of a base parameter's free coordinate; of an effect's, in half widths of its box.
 BASE_SPREAD, EFFECT_SPREAD = 3.0, 1.0
 
@@ -105,6 +108,7 @@ class Contest:
         self.names = tuple(names)
         self.unknowns = Unknowns(effects=everywhere(case, names))
         self._rollouts: dict[int, Rollout] = {}
+        self._beginnings: dict[float, Contest] = {}
         first = self._rollout(SMALL)
         system = first.system
         self.place = first.torch_device
@@ -131,6 +135,14 @@ class Contest:
         out = copy(self)
         out._stiffen()
         return out
+
+    def beginnings(self, share: float) -> Contest:
+        """Return a contest over the first share of every recording."""
+        if share not in self._beginnings:
+            cut = [beginning(r, max(FEWEST, round(share * len(r.t)))) for r in self.recordings]
+            sigma = self.sigma.cpu().numpy()
+            self._beginnings[share] = Contest(self.case, cut, sigma, self.names, device=self.device)
+        return self._beginnings[share]
 
     def _rollout(self, size: int) -> Rollout:
         if size not in self._rollouts:
@@ -173,18 +185,8 @@ class Contest:
         for j, r in enumerate(self.recordings):
             self.measured[j, : len(r.t)] = torch.as_tensor(r.output, device=self.place)
         self.start0 = torch.stack([torch.as_tensor(r.start) for r in self.recordings]).to(self.place)
-        self.motion = self._about_rest()
+        self.motion = about_rest(self.case, self.recordings, self.measured)
         self.start_scale = max(float(self.motion.abs().max()), 1e-9)
-
-    def _about_rest(self) -> torch.Tensor:
-        """Return the measured channels, joints' positions about their means: an encoder's zero means nothing."""
-        if not isinstance(self.case, JointCase) or fits_torque(self.case):
-            return self.measured.clone()
-        place = torch.tensor([o.quantity == "position" for o in self.case.outputs], device=self.place)
-        counts = torch.tensor([len(r.t) for r in self.recordings], device=self.place)
-        inside = (torch.arange(self.measured.shape[1], device=self.place) < counts[:, None])[..., None]
-        mean = self.measured.sum((0, 1)) / float(counts.sum())
-        return torch.where(inside & place, self.measured - mean, self.measured)
 
     def set_noise(self, sigma: Array) -> None:
         """Set the noise of the channels, shape [C]; channels with zero noise are ignored."""

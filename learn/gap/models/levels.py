@@ -14,6 +14,7 @@ import torch
 from .contest import Batch, Contest
 from .fitted import Model, penalty
 from .frequencies import frequency_probes
+from .horizons import led
 from .refit import Fits, evaluated, fit
 from .scan import Basis, Scan, all_probes, score_probes, start_batch
 
@@ -41,7 +42,8 @@ def scan_candidates(
     probes = [*all_probes(contest, without), *oscillating]
     residuals = basis.residual[None] if nulls is None else torch.cat([basis.residual[None], nulls])
     scan = score_probes(contest, basis, probes, residuals)
-    return basis, replace(scan, compared=[1] * (len(probes) - len(oscillating)) + [compared] * len(oscillating))
+    own = {p.candidate for p in oscillating}
+    return basis, replace(scan, compared=[compared if p.candidate in own else 1 for p in scan.probes])
 
 
 def first_level(contest: Contest, basis: Basis, scan: Scan, progress: Progress) -> list[Model]:
@@ -132,11 +134,10 @@ def _started(
     members: list[tuple[int, ...]] = []
     for n, (key, own, misfit) in enumerate(zip(keys, starts, cost, strict=True)):
         batches.append(own[misfit.argsort()[: STARTS if n < WIDELY else 1]])
-        if every or n < KEPT[0]:
-            batches.append(own[slice(0, 1)])
-            batches[-1].free[:, : contest.num_base] = contest.centre[: contest.num_base]
-        members += [key] * (sum(map(len, batches)) - len(members))
-    return Batch.joined(batches), members
+        members += [key] * len(batches[-1])
+    typical = Batch.joined([own[slice(0, 1)] for own in starts])
+    typical.free[:, : contest.num_base] = contest.centre[: contest.num_base]
+    return Batch.joined([*batches, led(contest, typical)]), [*members, *keys]
 
 
 def _promised(

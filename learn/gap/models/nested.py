@@ -69,8 +69,8 @@ def from_contained(contest: Contest, model: Model, inner: Model) -> Batch:
 def fitted_again(fitted: FittedModels, size: int, *, every: bool = False) -> None:
     """Fit models of a size from the models with one effect less that they contain, and keep what leaves less.
 
-    Those do that leave more than the contained model; with ``every`` all that were fitted to the last round. A few go on
-    that are worth their effect after the first steps.
+    Those do that leave more than the contained model; with ``every`` all that were fitted to the last round. A few that
+    are worth their effect after the first steps go on.
     """
     contest = fitted.contest
     pairs = [(m, inner) for m in fitted.models if len(m.members) == size for inner in fitted.contained(m)
