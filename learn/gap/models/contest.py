@@ -26,13 +26,14 @@ from ...replay.recording import Recording, beginning
 from ...replay.rollout import Rollout
 from ...systems.branch import Unknowns
 from ...systems.system import box_of, values_of
-from .candidates import Candidate, everywhere
+from .candidates import Candidate, everywhere, passes_neutral
 
 #: Parameter sets per launch; a small remainder runs in launches of the second size.
 LAUNCH, SMALL = 128, 16
 #: Finite-difference steps, relative to the reach of a free coordinate and to the scale of start states. The wide step
-#: averages over a rugged chi-squared surface; the narrow one has less truncation error where a law is curved.
-STEP, NARROW = 0.01, 0.002
+#: averages over a rugged chi-squared surface; the narrow one has less truncation error where a law is curved. The
+#: narrowest is for joints that swing many times.
+STEP, NARROW, NARROWEST = 0.01, 0.002, 0.0004
 #: Least length of the beginning of a recording, in samples.
 FEWEST = 20
 #: Prior standard deviation of a base parameter's free coordinate; of an effect's, in half widths of its box.
@@ -88,6 +89,7 @@ class Contest:
         candidates: Every effect at every place.
         low, high: Box of the free coordinates, shape [n].
         neutral: Values in SI units of parameters that are not active, shape [n].
+        typical: Free coordinates where a search may begin, shape [n]: strengths of either sign at neutral.
         centre, spread: Mean and standard deviation of the normal prior of the free coordinates, shape [n].
         reach: Change of a free coordinate over which the response is about linear, shape [n].
         colour: How noise of the force correlates the residuals; None where it does not.
@@ -171,11 +173,14 @@ class Contest:
         base = torch.arange(n, device=self.place) < k
         log = torch.tensor([p.scale == "log" for p in self.parameters], device=self.place)
         self.centre = torch.where(base, start, middle)
+        self.typical = self.centre.clone()
         self.spread = torch.where(base & log, BASE_SPREAD, EFFECT_SPREAD * half)
         self.reach = torch.where(log, 1.0, half)
         for candidate in self.candidates:
             setting = self.settings[candidate.acting.joint or 0]
             for column, spec in zip(candidate.columns, candidate.specs, strict=True):
+                if passes_neutral(spec, self.parameters[column]):
+                    self.typical[column] = self.parameters[column].free(spec.neutral)
                 if spec.reach is not None:
                     self.reach[column] = spec.reach(setting) if callable(spec.reach) else spec.reach
 

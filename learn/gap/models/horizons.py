@@ -9,8 +9,9 @@ from __future__ import annotations
 from .contest import Batch, Contest
 from .refit import fit
 
-#: Shares of the recordings that are fitted one after the other before all of them, and steps of each fit.
-SHARES, STEPS = (0.03, 0.1, 0.3), 6
+#: Shares of the recordings that are fitted one after the other before all of them, and steps of each fit: what has been
+#: led through them must compete after its last with fits that never left a mode.
+SHARES, STEPS = (0.03, 0.1, 0.3, 0.6), 8
 
 
 def led(contest: Contest, batch: Batch) -> Batch:
@@ -23,4 +24,4 @@ def led(contest: Contest, batch: Batch) -> Batch:
     out = Batch(batch.free, batch.active, contest.start0.expand_as(batch.start).clone(), batch.weight)
     for share in SHARES:
         out = fit(contest.beginnings(share), out, STEPS).batch
-    return out
+    return fit(contest, out, STEPS).batch

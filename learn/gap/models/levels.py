@@ -124,7 +124,8 @@ def _started(
     """Return the start points of the most promising candidates, from their best probes, and their members.
 
     With ``every`` all candidates start. A base fit biased by an effect can hide that effect from the scan and trap its
-    fits in a local minimum; they therefore also start from the base at its typical values.
+    fits in a local minimum; they therefore also start from the base at its typical values, those of joints with their
+    effects at typical values too and first fitted to short horizons.
     """
     promised = _promised(contest, scans)
     keys = sorted(promised, key=lambda key: promised[key][0])[: None if every else KEPT[0]]
@@ -136,7 +137,9 @@ def _started(
         batches.append(own[misfit.argsort()[: STARTS if n < WIDELY else 1]])
         members += [key] * len(batches[-1])
     typical = Batch.joined([own[slice(0, 1)] for own in starts])
-    typical.free[:, : contest.num_base] = contest.centre[: contest.num_base]
+    known = typical.active.clone() if typical.start.numel() else typical.active & False
+    known[:, : contest.num_base] = True
+    typical.free = torch.where(known, contest.typical, typical.free)
     return Batch.joined([*batches, led(contest, typical)]), [*members, *keys]
 
 
