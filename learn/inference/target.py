@@ -17,6 +17,7 @@ from ..cases.case import BranchCase, JointCase
 from ..priors.prior import Blocks, Normal, Prior, box_prior
 from ..replay.equation_error import simulation_of
 from ..replay.input_noise import Colour
+from ..replay.motion import about_rest
 from ..replay.recording import Recording
 from ..replay.rollout import Rollout
 from ..systems.branch import Unknowns
@@ -89,8 +90,8 @@ class Target:
         for j, r in enumerate(self.recordings):
             self.measured[j, : len(r.t)] = torch.as_tensor(r.output, device=self.place)
             self.weight[j, : len(r.t)] = active.double()
-        scale = self.measured.abs().amax((0, 1)).clamp(min=1e-9)
-        self.start_scale = scale.max().item()
+        motion = about_rest(self.case, self.recordings, self.measured)
+        self.start_scale = max(float(motion.abs().max()), 1e-9)
         groups = range(int(self.groups.max()) + 1)
         self.per_group = torch.stack([self.weight[..., self.groups == g].sum() for g in groups])
         self.log_noise0 = torch.stack(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,13 @@ class Recording:
     grasp: tuple[int, Array] | None = None
     t_start: float = 0.0
     sensed: Array | None = None
+
+
+def beginning(recording: Recording, count: int) -> Recording:
+    """Return the first ``count`` samples of a recording."""
+    sensed = None if recording.sensed is None else recording.sensed[:count]
+    columns = {name: getattr(recording, name)[:count] for name in ("t", "input", "output", "contact")}
+    return replace(recording, **columns, sensed=sensed)
 
 
 def recordings(case: BranchCase | JointCase) -> list[Recording]:
