@@ -35,8 +35,9 @@ _MEASURES = ("first_occlusion", "last_occlusion", "total")
 class Powerline(VecEnv):
     """Worlds of one tree, one target and one arm each, that restart by themselves.
 
-    A policy step is a fixed sequence of launches (`step`): judge the state that the action was chosen in (eq. 5.9),
-    act, step the physics, close episodes that are over, place those worlds anew, sense once, deliver. Everything is
+    A policy step is a fixed sequence of launches (`step`): judge the state that the action was chosen in (eq. 5.9); in
+    every control period act and step the physics; close episodes that are over, place those worlds anew, sense once,
+    deliver. Everything is
     allocated here and written in place; what `step` returns is the same memory every time, overwritten by the next.
 
     Attributes:
@@ -53,7 +54,7 @@ class Powerline(VecEnv):
         lost: How often the simulation lost each world, int32 [worlds].
     """
 
-    version = 1
+    version = 2
 
     def __init__(
         self, name: str, settings: TaskSettings, *, num_envs: int, seed: int, device: str, test: bool = False,
@@ -133,7 +134,7 @@ class Powerline(VecEnv):
         self._warp = {
             "actions": self._array(n, dofs), "observation": self._array(n, width), "reward": self._array(n),
             "done": self._array(n, dtype=wp.bool), "time_out": self._array(n), "log": self._array(n, len(METRICS)),
-            "sums": self._array(n, len(METRICS) + 1), "waiting": self._array(self.cfg.action_delay + 1, n, dofs),
+            "sums": self._array(n, len(METRICS) + 1), "waiting": self._array(self.cfg.action_delay + 2, n, dofs),
         }  # fmt: skip
         if slots > 1:
             self._warp |= {"now": self._array(n, width), "kept": self._array(slots, n, width)}
@@ -159,8 +160,15 @@ class Powerline(VecEnv):
         limit = sim.arm.velocity_limit.astype(np.float32)
         self._speed_limit: wp.array = wp.array(limit, dtype=wp.float32, device=self._device)
         self._slot: wp.array = wp.array(sim.model.world_slot.astype(np.int32), device=self._device)
+        self._slices = [self._slice(k + 1) for k in range(self.cfg.control_periods)]
         self._max_noise = wp.from_torch(self.sensor.max_noise)
         self._scores = [wp.from_torch(self.sensor.occlusion), wp.from_torch(self.sensor.breach)]
+
+    def _slice(self, period: int) -> Launches:
+        """Return the launch that sets the servos' targets for a control period of the policy step, from 1."""
+        w, share = self._warp, period / self.cfg.control_periods
+        inputs = [w["actions"], self._speed_limit, share, self._counters, w["waiting"], self._arm.target]
+        return Launches([recorded(kernels.act, self.num_envs, inputs, self._device)])
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
@@ -213,8 +221,9 @@ class Powerline(VecEnv):
         """Launch one policy step; nothing is allocated, copied to the host or waited for."""
         w, y, c = self._warp, self._arm, self._counters
         self._launch(kernels.judge, *self._scores, y.qd, self._rules, c, w["reward"])
-        self._launch(kernels.act, w["actions"], self._speed_limit, c, w["waiting"], y.target)
-        self.simulator.step(self.cfg.physics_steps)
+        for act in self._slices:
+            act()
+            self.simulator.step(self.cfg.period_steps)
         self._launch(kernels.close, self.simulator.state.alive.entries(), self._slot, y.q, y.qd, self._rules, c,
                      w["waiting"], self._max_noise, w["done"], w["time_out"], w["log"], w["sums"])  # fmt: skip
         self._restart()

@@ -186,6 +186,52 @@ def test_a_group_left_out_leaves_the_others_as_they_are(env, left_out):
     assert part.shape[-1] == width
 
 
+def test_servo_targets_follow_a_schedule_by_hand(monkeypatch):
+    """At 10 and 60 Hz actions 0, 1, -0.5 become sixths of the way: 1/6 ... 1, then 0.75 ... -0.5, times the limit.
+
+    World 1 acts a step late. An action that is held stays, and the next episode starts from standing still.
+    """
+    env = make(settings=replace(SMALL, action_delay=1, episode_steps=4), worlds=2)
+    wp.to_torch(env._counters.action_delay).copy_(torch.tensor([0, 1]))
+    asked, step = [], env.simulator.step
+    monkeypatch.setattr(
+        env.simulator, "step", lambda count: (asked.append((count, env.simulator.target.clone())), step(count))
+    )
+    for a in (1.0, -0.5, -0.5, 2.0, 1.0):
+        env.step(torch.full((2, 6), a))
+        if env.done.all():
+            wp.to_torch(env._counters.action_delay).copy_(torch.tensor([0, 1]))
+    assert [count for count, _ in asked] == [4] * 30
+    sixths = np.arange(1, 7) / 6
+    rise, fall, still = sixths, 1.0 - 1.5 * sixths, np.full(6, -0.5)
+    expected = np.array([[*rise, *fall, *still, *(1.5 * sixths - 0.5), *rise],
+                         [*(0 * rise), *rise, *fall, *still, *(0 * rise)]])  # fmt: skip
+    found = torch.stack([target for _, target in asked], dim=1).numpy()
+    np.testing.assert_allclose(found, expected[..., None] * env.simulator.arm.velocity_limit, atol=1e-6)
+
+
+def test_one_control_period_a_step_is_the_action():
+    """At 60 and 60 Hz the target is the limit times the action, to the bit."""
+    env = make(settings=replace(SMALL, policy_rate=60.0), worlds=2)
+    limit = torch.tensor(env.simulator.arm.velocity_limit, dtype=torch.float32)
+    for a in actions(3, 2):
+        env.step(a)
+        assert torch.equal(env.simulator.target, limit * a)
+
+
+def test_noise_on_points_changes_no_score():
+    """Score a noisy world as its twin without noise, to the bit, reward and log included; what is seen differs."""
+    twins = [make(settings=replace(SMALL, max_noise=(d, d))) for d in (0.0, 0.04)]
+    for a in actions(SMALL.episode_steps):
+        seen = [twin.step(a)[0]["policy"].clone() for twin in twins]
+        for name in ("reward", "done", "time_out"):
+            assert torch.equal(*(getattr(twin, name) for twin in twins))
+        assert torch.equal(*(twin.sensor.occlusion for twin in twins))
+        assert torch.equal(*(twin.sensor.breach for twin in twins))
+        assert not torch.equal(seen[0][:, 87], seen[1][:, 87])
+    assert all(torch.equal(*(twin._extras["log"][name] for twin in twins)) for name in METRICS)
+
+
 def test_latency_delays_actions_and_observations_by_whole_steps():
     """With delays set by hand, world w acts a_{t-w%3} and sees what world 0 of a twin without delay saw w%3 ago."""
     late = make(settings=replace(SMALL, action_delay=2, observation_delay=2, episode_steps=50))
