@@ -353,8 +353,8 @@ def blur_kernel(width: int = 1) -> Any:
 
     @wp.kernel(enable_backward=False, module="unique")
     def blur(
-        target_in: Shapes, zoom: float, seed: int, tick_in: wp.array(dtype=int), max_noise_in: wp.array(dtype=wp.float32),
-        first: int, first_row: int, c_out: Clouds,
+        target_in: Shapes, zoom: float, seed: int, tick_in: wp.array(dtype=int),
+        max_noise_in: wp.array(dtype=wp.float32), first: int, first_row: int, c_out: Clouds,
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         i = wp.int32(0)

@@ -95,7 +95,7 @@ class Powerline(VecEnv):
 
     def _build_worlds(self, arm: Arm, seed: int, domain: str) -> None:
         s = self.cfg.scene
-        distinct = grow_trees(s, arm, seed=seed, domain=domain)
+        distinct = grow_trees(s, arm, self.num_envs, seed=seed, domain=domain)
         trees, index = share_trees(distinct, self.num_envs)
         contacts = Contacts(line_radius=s.target.radius)
         names = names_of(s.effects)

@@ -1,7 +1,7 @@
 """Scenes: trees grown once on the host, and where tree and line of every world stand, drawn on the device.
 
 A scene is one tree within an arm's reach and a target (a power line, say) that its branches cover. Trees are grown and
-culled once a run; every world has one of them for good. A place of tree and target is drawn for chosen worlds in one
+culled once a run, one for every world, which keeps it for good. A place of tree and target is drawn for chosen worlds in one
 launch (`kernels.tasks.scene`), from counters alone: seed, world and episode give the same place whenever it is
 asked for.
 
@@ -75,7 +75,7 @@ class SceneSettings:
         species: Ternary species of the trees (`sim.trees.species`).
         order: Order of the trees: 2 has 17 links before culling, 3 has 53.
         most_links: Links that a tree keeps at most: those nearest to where an arm may be.
-        distinct: Number of different trees, shared by all worlds.
+        distinct: Number of different trees, which the worlds have in turn; None grows one for every world.
         noise: Standard deviation of the trees' parameters, relative (thesis 5.4.1: 0.1).
         scale: Metres per unit of the species' lengths.
         upper, lower, decay: Springs as in `stiffness.rudimentary` [N m/rad]; the defaults are its own.
@@ -109,7 +109,7 @@ class SceneSettings:
     species: str = "Ta"
     order: int = 2
     most_links: int = 40
-    distinct: int = 64
+    distinct: int | None = None
     noise: float = 0.1
     scale: float = 0.004
     upper: float = 120.0
@@ -149,7 +149,7 @@ class SceneSettings:
         for name in ("stiffness", "damping", "distance", "pairs"):
             low = getattr(self, name)[0]
             _need(low > 0.0, name, f"{low:g}", "above zero")
-        _need(self.distinct >= 1, "distinct", str(self.distinct), "1 or more trees")
+        _need(self.distinct is None or self.distinct >= 1, "distinct", str(self.distinct), "1 or more trees")
         _need(self.attempts >= 1, "attempts", str(self.attempts), "1 or more")
         _need(self.most_links >= 2, "most_links", str(self.most_links), "2 or more")
         _need(0.0 <= self.tilt < 90.0, "tilt", f"{self.tilt:g} degrees", "0 to below 90")
@@ -181,8 +181,20 @@ def arm_reach(arm: Arm) -> tuple[Array, float]:
     return shoulder, float(lengths.sum() + np.linalg.norm(arm.end_position))
 
 
-def grow_trees(settings: SceneSettings, arm: Arm, *, seed: int, domain: str = "training") -> list[Tree]:
-    """Grow the distinct trees of a run: trunk fixed, springs that hold the rest pose, culled to what the arm reaches.
+def grow_trees(
+    settings: SceneSettings, arm: Arm, worlds: int, *, seed: int, domain: str = "training"
+) -> list[Tree]:  # fmt: skip
+    """Grow the trees of a run: trunk fixed, springs that hold the rest pose, culled to what the arm reaches.
+
+    Tree i depends on settings, arm, seed, domain and i alone. Order 2 takes about 2 ms a tree on one core, order 3
+    about 4.
+
+    Args:
+        settings: Their number is ``distinct``, at most one a world.
+        arm: The arm that is to reach them.
+        worlds: Number of worlds.
+        seed: Seed of the run.
+        domain: ``training`` or ``test`` (`DOMAINS`).
 
     Raises:
         InputError: The settings (`SceneSettings.check`), a tree out of reach from every side, or wood too soft for it.
@@ -190,8 +202,9 @@ def grow_trees(settings: SceneSettings, arm: Arm, *, seed: int, domain: str = "t
     shoulder, reach = arm_reach(arm)
     settings.check(reach)
     grown, springs = seed_sequence(seed, domain).generate_state(2, np.uint64)
+    _need(worlds >= 1, "worlds", str(worlds), "1 or more")
     forest = grow_forest(
-        settings.species, settings.distinct, settings.order,
+        settings.species, min(settings.distinct or worlds, worlds), settings.order,
         noise=settings.noise, seed=int(grown), scale=settings.scale, fixed_base=True,
     )  # fmt: skip
     rng = np.random.default_rng(int(springs))
@@ -422,17 +435,18 @@ def side_compliance(tree: Tree) -> Array:
 
     The joints between it and the ground in series, C = sum_j (|r_j|^2 I - r_j r_j^T) / K_j.
     """
-    joint = rest_pose(tree)[0]
-    out = np.zeros(len(tree.shape_link))
-    for s, middle in enumerate(np.mean(shape_ends(tree), axis=0)):
-        total, link = np.zeros((3, 3)), int(tree.shape_link[s])
-        while link >= 0:
-            arm = middle - joint[link]
-            if tree.joint[link] != Joint.FIXED:
-                total += (arm @ arm * np.eye(3) - np.outer(arm, arm)) / tree.stiffness[link]
-            link = int(tree.parent[link])
-        out[s] = np.linalg.eigvalsh(total[:2, :2])[0]
-    return out
+    poses = rest_pose(tree)
+    carries = np.zeros((tree.num_links, tree.num_links), bool)  # [i, j]: whether joint j moves link i
+    for i, p in enumerate(tree.parent):
+        carries[i] = carries[p] if p >= 0 else False
+        carries[i, i] = tree.joint[i] != Joint.FIXED
+    lever = np.mean(shape_ends(tree, poses), axis=0)[:, None] - poses[0]
+    with np.errstate(divide="ignore"):
+        soft = np.where(carries[tree.shape_link], 1.0 / tree.stiffness, 0.0)
+    total = np.einsum("sl,sli,sli->s", soft, lever, lever)[:, None, None] * np.eye(3)
+    total = total - np.einsum("sl,sli,slj->sij", soft, lever, lever)
+    least: Array = np.linalg.eigvalsh(total[:, :2, :2])[:, 0]
+    return least
 
 
 def home_capsules(arm: Arm) -> tuple[Array, Array, Array]:

@@ -413,6 +413,15 @@ def test_other_targets_are_covered_and_run(name):
     assert (length > low).all() and (length < high).all()
 
 
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_world_of_a_preset_has_a_tree_of_its_own(preset):
+    """In training and in tests no two worlds have the same wood, and no tree of a test is one of training."""
+    settings = replace(PRESETS[preset], episode_steps=4)
+    tasks = [make(settings=settings, worlds=6, test=test) for test in (False, True)]
+    wood = [tree.shape_radius.tobytes() for task in tasks for tree in task.simulator.model.trees]
+    assert len(set(wood)) == 12
+
+
 def test_settings_survive_json():
     for settings in (*PRESETS.values(), SMALL):
         assert settings_from(TaskSettings, plain(settings), "test") == settings
