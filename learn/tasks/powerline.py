@@ -19,9 +19,11 @@ from ...sim.arms.jaco2 import jaco2
 from ...sim.arms.simulator import ArmSimulator, Contacts
 from ...sim.base.errors import InputError
 from ...sim.base.thread_pool import Launches, recorded
-from ...sim.scenes.scene import Axes, Scene, grow_trees, seed_sequence, share_trees
+from ...sim.scenes.scene import Axes, Scene, fork_height, grow_trees, seed_sequence, share_trees
+from ...sim.trees.tree import Tree
 from ...sim.wood.effects import give_effects, names_of
 from .memory import copies, put_back, simulator_tensors
+from .overlaps import Overlaps
 from .settings import TaskSettings, columns_of
 from .task import METRICS
 
@@ -97,7 +99,7 @@ class Powerline(VecEnv):
         s = self.cfg.scene
         distinct = grow_trees(s, arm, self.num_envs, seed=seed, domain=domain)
         trees, index = share_trees(distinct, self.num_envs)
-        contacts = Contacts(line_radius=s.target.radius)
+        contacts = self._contacts(distinct, all_on=domain == "test")
         names = names_of(s.effects)
         self.simulator = ArmSimulator(trees, arm, contacts=contacts, device=self._device, effects=names)
         give_effects(self.simulator, s.effects)
@@ -108,6 +110,17 @@ class Powerline(VecEnv):
         hand = self.simulator._arm.kernel[1].end_position
         points = int(seed_sequence(seed, domain).generate_state(5)[4] >> 1)
         self.sensor = Sensor(capsules, target, hand, self.cfg.sensor, seed=points, device=self._device)
+
+    def _contacts(self, trees: list[Tree], *, all_on: bool) -> Contacts:
+        """Return what touches what: in tests the arm touches itself, branches each other, and all the ground too.
+
+        The ground is level with the lowest foot that a trunk can have.
+        """
+        scene = self.cfg.scene
+        if not all_on:
+            return Contacts(line_radius=scene.target.radius)
+        ground = scene.height[0] - max(fork_height(tree) for tree in trees)
+        return Contacts(line_radius=scene.target.radius, arm_arm=True, branch_branch=True, ground=ground, capacity=64)
 
     def _make_rules(self, seed: int, domain: str) -> Any:
         out, s = kernels.TaskRules(), self.cfg
@@ -297,6 +310,24 @@ class Powerline(VecEnv):
             ValueError: The snapshot is of another task.
         """
         put_back(self._tensors(), snapshot)
+
+    # ---- what a test tells ---------------------------------------------------------------------------------------
+
+    def watch(self) -> Overlaps:
+        """Return what counts how arm, branches, line and ground pass through each other, from the present state on."""
+        return Overlaps(self.simulator, wp.from_torch(self.scene.root, dtype=wp.vec3))
+
+    def scenes(self) -> dict[str, float]:
+        """Return what the present scenes are like: branches at the target, and shares of them [%] by rule.
+
+        Of scenes in which nothing is left out (`all_scenes`) those shares are what the task leaves out otherwise.
+        """
+        share = {f"{name} %": 100.0 * float(found.float().mean()) for name, found in self.scene.left_out().items()}
+        kept = 100.0 * float((self.scene.breach == 0.0).float().mean())
+        return {
+            "branches at the target": float(self.scene.crowd[:, 3].mean()),
+            "places that keep the rules %": kept,
+        } | share
 
     def render(self, world: int) -> NDArray[np.uint8]:
         """Return a picture of one world, [height, width, 3]."""

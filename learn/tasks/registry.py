@@ -32,6 +32,7 @@ class TaskRegistry:
         make: Called with name, settings, num_envs, seed, device and test (all contacts on); returns the task.
         of_wood: Called with settings, the wood of a measured branch and its effects; returns the settings of tasks
             whose trees are of it. None where tasks have no trees.
+        all_scenes: Called with settings; returns those of tasks that leave no scene out. None where none is left out.
     """
 
     names: tuple[str, ...]
@@ -39,6 +40,7 @@ class TaskRegistry:
     presets: Mapping[str, Any]
     make: Callable[..., Task]
     of_wood: Callable[[Any, Wood, WoodEffects], Any] | None = None
+    all_scenes: Callable[[Any], Any] | None = None
 
     @property
     def settings(self) -> type:
@@ -94,9 +96,9 @@ def builtin_tasks() -> TaskRegistry:
     """
     require_rsl_rl()
     from .clearing import make_task
-    from .settings import GROUPS, NAMES, PRESETS, of_wood
+    from .settings import GROUPS, NAMES, PRESETS, all_scenes, of_wood
 
-    return TaskRegistry(NAMES, GROUPS, PRESETS, make_task, of_wood)
+    return TaskRegistry(NAMES, GROUPS, PRESETS, make_task, of_wood, all_scenes)
 
 
 def plain(settings: Any) -> dict[str, Any]:

@@ -130,6 +130,11 @@ def of_wood(settings: TaskSettings, wood: Wood, effects: WoodEffects) -> TaskSet
     return replace(settings, scene=replace(settings.scene, wood=wood, effects=effects))
 
 
+def all_scenes(settings: TaskSettings) -> TaskSettings:
+    """Return the settings without the rules that leave out what one arm can hardly clear."""
+    return replace(settings, scene=replace(settings.scene, feasible=False, branches=1))
+
+
 def check_name(name: str) -> None:
     """Raise `InputError` for a task that does not exist."""
     _need(name in NAMES, "", name, ", ".join(NAMES))

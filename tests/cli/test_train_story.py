@@ -101,3 +101,10 @@ def test_a_run_in_a_diagnosed_branch_s_wood(bough, tmp_path):
     tested = bough("evaluate", out, "--sets", 1, "--worlds", 12, "--device", "cpu", "--baselines")
     assert tested.code == 0, tested.err
     assert (out / "evaluation.json").exists()
+    page = (out / "evaluation.md").read_text()
+    assert page in tested.out and "| arm and arm " in page and "many pairs %: 0.0" in page
+    every = bough("evaluate", out, "--sets", 1, "--worlds", 12, "--device", "cpu", "--baselines", "--all-scenes")
+    assert every.code == 0, every.err
+    found = json.loads((out / "evaluation_all_scenes.json").read_text())
+    assert found["scenes"]["any %"] > 50.0 and (out / "evaluation_all_scenes.md").read_text() in every.out
+    assert (out / "evaluation.md").read_text() == page

@@ -247,6 +247,38 @@ def test_clearing_takes_a_push_of_centimetres(worlds):
         assert gap[side_compliance(tree) < 0.1 / SETTINGS.firm].min() > 0.15
 
 
+def test_what_is_left_out_is_told_by_rule():
+    """Places without the rules of what is feasible: firm wood, deep branches and their number, by points on the axes.
+
+    Gaps by 65 points on 0.2 to 1 m miss by 3 mm; worlds that are nearer than that to a rule do not count.
+    """
+    every = Worlds(replace(SETTINGS, feasible=False, branches=1))
+    left_out, told, (start, end) = every.scene.left_out(), 0, every.line()
+    edge = 0.15
+    for w in range(WORLDS):
+        p, q, _ = every.branches(w)
+        gap, firm = gaps(p, q, start[w], end[w]), side_compliance(every.distinct[every.index[w]]) < 0.1 / SETTINGS.firm
+        radius = every.branches(w)[2]
+        rules = {"firm wood": edge + radius[firm] - gap[firm], "deep branches": edge - gap[~firm] - SETTINGS.depth[1]}
+        for name, reaching in rules.items():
+            if np.abs(reaching).min() > 0.003:
+                assert bool(left_out[name][w]) == bool((reaching > 0).any()), name
+                told += 1
+        if np.abs(gap - edge).min() > 0.003:
+            assert every.scene.crowd[w, 3] == (gap < edge).sum()
+    assert told > WORLDS
+    for name in ("firm wood", "deep branches", "many pairs", "any"):
+        assert left_out[name].any() and (name == "any" or not left_out[name].all())
+    assert torch.equal(left_out["any"], left_out["firm wood"] | left_out["deep branches"] | left_out["many pairs"])
+
+
+def test_places_that_keep_the_rules_are_not_left_out(worlds):
+    """Three branches or more at every target, of as many pairs as asked for, none firm or deep."""
+    kept = worlds.scene.breach == 0.0
+    assert not worlds.scene.left_out()["any"][kept].any()
+    assert worlds.scene.crowd[kept, 3].min() >= 3 and worlds.scene.crowd[kept, 2].min() >= SETTINGS.pairs[0]
+
+
 def drawn(scene, sim):
     names = ("root", "turn", "stiffness", "damping")
     return torch.cat([getattr(scene, n).reshape(len(sim.line_mask), -1) for n in names] + [sim.line_start], dim=1)
