@@ -19,7 +19,7 @@ from .exit_codes import ExitCode
 class Evaluate:
     """Test a policy on unseen sets with all contacts on; print and write the columns of the thesis's table 5.2.
 
-    Writes evaluation.json and evaluation.md into the run, and beside the columns what the scenes are like and what passed
+    Writes evaluation.json and evaluation.md into the run; they also say what the scenes are like and what passed
     through what. Exit code 0: done; 2: bad input, nothing written.
 
     Attributes:

@@ -1,8 +1,8 @@
 """Scenes: trees grown once on the host, and where tree and line of every world stand, drawn on the device.
 
 A scene is one tree within an arm's reach and a target (a power line, say) that its branches cover. Trees are grown and
-culled once a run, one for every world, which keeps it for good. A place of tree and target is drawn for chosen worlds in one
-launch (`kernels.tasks.scene`), from counters alone: seed, world and episode give the same place whenever it is
+culled once a run, one for every world, which keeps it for good. A place of tree and target is drawn for chosen worlds
+in one launch (`kernels.tasks.scene`), from counters alone: seed, world and episode give the same place whenever it is
 asked for.
 
 Training and tests never share a seed: both the trees and the device's key come from ``SeedSequence([domain, seed])``,
@@ -99,8 +99,8 @@ class SceneSettings:
         pairs: Number of such pairs expected at the start, of ``points`` x ``points`` points. A score of 1 takes 200;
             with many more the score does not change until most of the way is done.
         branches: Least number of branches (links) that reach into the region whose points count as occluding.
-        feasible: Whether to leave out what one arm can hardly clear: firm wood or branches deeper than ``depth`` in that
-            region, more than the upper bound of ``pairs``. `Scene.left_out` tells where that is so.
+        feasible: Whether to leave out what one arm can hardly clear: firm wood or branches deeper than ``depth`` in
+            that region, more than the upper bound of ``pairs``. `Scene.left_out` tells where that is so.
         points: Points of each cloud.
         gap: Free space between arm and branches at the start [m].
         target_gap: Free space between arm and the target's axis at the start [m].

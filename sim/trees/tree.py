@@ -149,7 +149,7 @@ class Tree:
     def _checks(self) -> Iterator[tuple[NDArray[np.bool_], str, str, Array | IntArray]]:
         """Yield what must hold of every link: whether it does [L], what is found where not, what is allowed, values."""
         n = self.num_links
-        before = (-1 <= self.parent) & (self.parent < np.arange(n))
+        before = (self.parent >= -1) & (self.parent < np.arange(n))
         yield before, "parent index", "-1 (world) or a link before it", self.parent
         for item in fields(self):
             value = getattr(self, item.name)
