@@ -34,6 +34,7 @@ class TaskRegistry:
             whose trees are of it. None where tasks have no trees.
         columns: Called with settings; returns the first column of every feature of the observations. None where that is
             not known.
+        all_scenes: Called with settings; returns those of tasks that leave no scene out. None where none is left out.
     """
 
     names: tuple[str, ...]
@@ -42,6 +43,7 @@ class TaskRegistry:
     make: Callable[..., Task]
     of_wood: Callable[[Any, Wood, WoodEffects], Any] | None = None
     columns: Callable[[Any], dict[str, int]] | None = None
+    all_scenes: Callable[[Any], Any] | None = None
 
     @property
     def settings(self) -> type:
@@ -98,10 +100,12 @@ def builtin_tasks() -> TaskRegistry:
     require_rsl_rl()
     from ...sim.arms.jaco2 import jaco2
     from .clearing import make_task
-    from .settings import GROUPS, NAMES, PRESETS, columns_of, of_wood
+    from .settings import GROUPS, NAMES, PRESETS, all_scenes, columns_of, of_wood
 
     dofs = jaco2().num_dofs
-    return TaskRegistry(NAMES, GROUPS, PRESETS, make_task, of_wood, lambda settings: columns_of(settings, dofs)[0])
+    return TaskRegistry(
+        NAMES, GROUPS, PRESETS, make_task, of_wood, lambda settings: columns_of(settings, dofs)[0], all_scenes
+    )
 
 
 def plain(settings: Any) -> dict[str, Any]:
