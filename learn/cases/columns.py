@@ -10,6 +10,7 @@ import numpy as np
 
 from ...sim.base.errors import InputError
 from ...sim.base.files import read_text
+from ...sim.base.host import check_memory
 from ...sim.base.strict_yaml import nearest
 from ...sim.base.types import Array
 
@@ -115,7 +116,7 @@ def resampled(columns: Columns, rate: float) -> Columns:
 
     Raises:
         InputError: Time stands still or runs backwards; a step is `GAP` times the usual one or longer; the grid has
-            fewer than `MIN_ROWS` samples.
+            fewer than `MIN_ROWS` samples, or more than fit into memory.
     """
     t, name = columns.values[:, 0], columns.names[0]
     steps = _increasing(columns)
@@ -124,7 +125,11 @@ def resampled(columns: Columns, rate: float) -> Columns:
         i = int(np.argmax(steps))
         allowed = f"less than {GAP:g} steps of {typical:.9g} s between neighbours, cut by rows otherwise"
         raise InputError(columns.path, columns.place(i + 1, name), f"a step of {steps[i]:.9g} s", allowed)
-    count = int(np.floor((t[-1] - t[0]) * rate * (1 + 1e-12))) + 1
+    samples = (t[-1] - t[0]) * rate
+    # the grid, a column more at a time, and the arrays that a trajectory is made of
+    needed = 8.0 * samples * (3 * len(columns.names) + 1)
+    check_memory(str(columns.path), f"{samples:.3g} samples at resample_hz {rate:g}", needed)
+    count = int(np.floor(samples * (1 + 1e-12))) + 1
     if count < MIN_ROWS:
         raise InputError(columns.path, "", f"{count} samples at resample_hz {rate:g}", f"at least {MIN_ROWS}")
     grid = t[0] + np.arange(count) / rate

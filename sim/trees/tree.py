@@ -16,6 +16,8 @@ import numpy as np
 from ..base.errors import InputError
 from ..base.types import Array, IntArray
 
+#: Largest number that a tree may hold, in SI units: products of three of them are still numbers of single precision.
+LARGEST = 1.0e12
 _LATER: Any = None  # replaced by an array of the right length in Tree.__post_init__
 
 
@@ -140,6 +142,11 @@ class Tree:
             raise InputError(src, f"link {twice[0]}", "the name twice", "unique link names")
         for i, name in enumerate(self.link_name):
             self._validate_link(src, i, f"link {name}")
+        for name in ("shape_start", "shape_end", "shape_radius"):
+            value = getattr(self, name)
+            for i in np.flatnonzero(~(np.abs(value) <= LARGEST).all(axis=1))[:1]:
+                place = f"link {self.link_name[self.shape_link[i]]}"
+                raise InputError(src, place, f"{name} {value[i]}", f"finite numbers up to {LARGEST:g}")
         return self
 
     def _validate_link(self, src: str, i: int, place: str) -> None:
@@ -151,7 +158,8 @@ class Tree:
         for item in fields(self):
             value = getattr(self, item.name)
             if isinstance(value, np.ndarray) and value.dtype == np.float64 and not item.name.startswith("shape_"):
-                need(bool(np.isfinite(value[i]).all()), item.name, "finite numbers", value[i])
+                need(np.isfinite(value[i]).all(), item.name, "finite numbers", value[i])
+                need(np.abs(value[i]).max() <= LARGEST, item.name, f"numbers up to {LARGEST:g}", value[i])
         need(self.mass[i] >= 0, f"mass {self.mass[i]:g} kg", "zero or more")
         for name in ("stiffness", "damping", "armature"):
             need(getattr(self, name)[i] >= 0, f"{name} {getattr(self, name)[i]:g}", "zero or more")
