@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...sim.base.errors import InputError
+from ...sim.base.errors import InputError, shortened
 from ...sim.base.strict_yaml import YamlFile, nearest
 from ...sim.base.types import Array
 from ...sim.trees.measured import MeasuredBranch
@@ -184,10 +184,10 @@ def _check_trajectories(meta: BranchMeta | JointMeta, file: YamlFile) -> None:
         raise file.error(["time_scale"], "a scale beside two columns", "none: they are seconds and nanoseconds")
     used: list[tuple[str, Sequence[float]]] = []
     items: Sequence[BranchTrajectoryMeta | JointTrajectoryMeta] = meta.trajectories
+    if isinstance(meta, JointMeta) and meta.mechanism.mjcf is not None:
+        _check_inside(file, ["mechanism", "mjcf"], meta.mechanism.mjcf)
     for i, item in enumerate(items):
-        path = Path(item.file)
-        if path.is_absolute() or ".." in path.parts:
-            raise file.error(["trajectories", i, "file"], repr(item.file), "a file inside the case folder")
+        _check_inside(file, ["trajectories", i, "file"], item.file)
         rows = item.rows or (0, np.inf)
         if item.rows and item.rows[1] <= item.rows[0]:
             raise file.error(["trajectories", i, "rows"], f"{item.rows}", "[start, stop] with start < stop")
@@ -201,6 +201,18 @@ def _check_trajectories(meta: BranchMeta | JointMeta, file: YamlFile) -> None:
             found = "itself" if original == i + 1 else f"trajectory {original}"
             allowed = f"null, or another trajectory (1 to {len(meta.trajectories)})"
             raise file.error(["trajectories", i, "replicate_of"], found, allowed)
+
+
+def _check_inside(file: YamlFile, here: Sequence[str | int], name: str) -> None:
+    """Refuse a file that lies outside the case folder, by its name or by where links lead."""
+    path, folder = Path(name), file.path.parent
+    try:
+        inside = not path.is_absolute() and ".." not in path.parts and "\0" not in name
+        inside = inside and (folder / path).resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError):  # links that lead in a circle, a name that is too long: who reads it says so
+        return
+    if not inside:
+        raise file.error(list(here), shortened(name), "a file inside the case folder")
 
 
 def _load_branch(folder: Path, meta: BranchMeta, file: YamlFile) -> BranchCase:
@@ -437,6 +449,19 @@ def _load_joints(folder: Path, meta: JointMeta, file: YamlFile) -> JointCase:
     )
 
 
+def _check_span(path: Path, column: str, values: Array) -> None:
+    """Refuse numbers beyond what single precision can square, and changes that it cannot; none at all is no fault."""
+    most, span = np.abs(values).max(), np.ptp(values)
+    if most > LARGEST or 0.0 < span < 1.0 / LARGEST:
+        found = f"{most:.3g}" if most > LARGEST else f"changes of {span:.3g} in all"
+        allowed = f"numbers up to {LARGEST:g} that change by {1 / LARGEST:g} or more, or not at all (times scale)"
+        raise InputError(path, f"column {column}", found, allowed)
+
+
+#: Largest measured number, times its scale, in SI units, and the inverse of the least change of one.
+LARGEST = 1.0e15
+
+
 def _joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) -> tuple[JointTrajectory, float]:
     """Read one recording; return it and its own time step [s]."""
     inputs = meta.input or []
@@ -444,6 +469,8 @@ def _joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) 
     read = _read(folder, item, _clock(meta.time_column, meta.time_scale), names, meta.resample_hz, exact=False)
     step = check_clock(read)
     by_name = dict(zip(read.others, read.values.T, strict=True))
+    for used in (*inputs, *meta.outputs):
+        _check_span(folder / item.file, used.column, by_name[used.column] * used.scale)
     efforts = [by_name[i.column] * i.scale for i in inputs]
     trajectory = JointTrajectory(
         file=item.file,

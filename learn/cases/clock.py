@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...sim.base.errors import InputError
+from ...sim.base.host import check_memory
 from ...sim.base.types import Array
 from .columns import MIN_ROWS, Columns
 
@@ -163,11 +164,15 @@ def resampled(timed: Timed, rate: float) -> Timed:
 
     Raises:
         InputError: Time stands still or runs backwards; a step is `GAP` times the usual one or longer; the grid has
-            fewer than `MIN_ROWS` samples.
+            fewer than `MIN_ROWS` samples, or more than fit into memory.
     """
     t, columns = timed.t, timed.columns
     _check_gap(timed, _increasing(timed))
-    count = int(np.floor((t[-1] - t[0]) * rate * (1 + 1e-12))) + 1
+    samples = (t[-1] - t[0]) * rate
+    # the grid, a column more at a time, and the arrays that a trajectory is made of
+    needed = 8.0 * samples * (3 * len(columns.names) + 1)
+    check_memory(str(columns.path), f"{samples:.3g} samples at resample_hz {rate:g}", needed)
+    count = int(np.floor(samples * (1 + 1e-12))) + 1
     if count < MIN_ROWS:
         raise InputError(columns.path, "", f"{count} samples at resample_hz {rate:g}", f"at least {MIN_ROWS}")
     grid = t[0] + np.arange(count) / rate

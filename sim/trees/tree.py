@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from ..base.errors import InputError
 from ..base.types import Array, IntArray
 
+#: Largest number that a tree may hold, in SI units: products of three of them are still numbers of single precision.
+LARGEST = 1.0e12
 _LATER: Any = None  # replaced by an array of the right length in Tree.__post_init__
 
 
@@ -144,6 +146,11 @@ class Tree:
             if not sound.all():
                 i = int(np.argmin(sound))
                 raise InputError(src, f"link {self.link_name[i]}", f"{found} {values[i]}", allowed)
+        for name in ("shape_start", "shape_end", "shape_radius"):
+            value = getattr(self, name)
+            for i in np.flatnonzero(~(np.abs(value) <= LARGEST).all(axis=tuple(range(1, value.ndim))))[:1]:
+                place = f"link {self.link_name[self.shape_link[i]]}"
+                raise InputError(src, place, f"{name} {value[i]}", f"finite numbers up to {LARGEST:g}")
         return self
 
     def _checks(self) -> Iterator[tuple[NDArray[np.bool_], str, str, Array | IntArray]]:
@@ -154,7 +161,9 @@ class Tree:
         for item in fields(self):
             value = getattr(self, item.name)
             if isinstance(value, np.ndarray) and value.dtype == np.float64 and not item.name.startswith("shape_"):
-                yield np.isfinite(value.reshape(n, -1)).all(axis=1), item.name, "finite numbers", value
+                rows = value.reshape(n, -1)
+                yield np.isfinite(rows).all(axis=1), item.name, "finite numbers", value
+                yield (np.abs(rows) <= LARGEST).all(axis=1), item.name, f"numbers up to {LARGEST:g}", value
         for name in ("mass", "stiffness", "damping", "armature"):
             value = getattr(self, name)
             yield value >= 0, name, "zero or more", value

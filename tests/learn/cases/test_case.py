@@ -175,16 +175,38 @@ JOINT_ERRORS = {
     "few": (("trajectories", 0, "rows"), [2, 4], ["a.csv", "2 rows", "at least 3"]),
     "free": (("input",), None, ["inertia", "null on a joint that nothing drives"]),
     "weight": ((*MECHANISM, "type"), "prismatic", ["gravity_torque", "revolute joints only"]),
+    "mjcf elsewhere": (("mechanism",), {"mjcf": "../arm.xml"}, ["mechanism mjcf", "'../arm.xml'", "inside the case"]),
+    "mjcf from root": (("mechanism",), {"mjcf": "/etc/passwd"}, ["mechanism mjcf", "'/etc/passwd'", "inside the case"]),
+    "samples": (("resample_hz",), 1e6, ["a.csv", "samples at resample_hz 1e+06", "GiB"]),
+    "hardly moves": (("outputs", 0, "scale"), 1e-300, ["a.csv", "column angle_deg", "in all", "1e-15 or more"]),
+    "vast": (("outputs", 0, "scale"), 1e300, ["a.csv", "column angle_deg", "e+29", "up to 1e+15"]),
+    "vast input": (("input", "scale"), 1e300, ["a.csv", "column torque_mNm", "e+29", "up to 1e+15"]),
     "leak": (("trajectories", 1), {"file": "a.csv", "t_start_s": 9.0, "rows": [20, 40]}, ["a.csv a second time"]),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", JOINT_ERRORS)
-def test_joint_meta_is_refused(tmp_path: Path, name: str) -> None:
+def test_joint_meta_is_refused(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every joint statement that cannot be gives one line with file, place, finding and what is allowed."""
+    monkeypatch.setattr("bough.sim.base.host.memory_bytes", lambda: 2**20)  # what a short recording cannot ask for
     path, value, parts = JOINT_ERRORS[name]
     text = line(write_joint(tmp_path / "c", set_at(joint_meta(), path, value)))
     assert all(part in text for part in parts), text
+
+
+@pytest.mark.parametrize("mechanism", [True, False])
+def test_links_out_of_the_case_are_refused(tmp_path: Path, mechanism: bool) -> None:
+    """A mechanism or a recording that a link fetches from elsewhere is refused; a link inside the folder is read."""
+    (tmp_path / "secret").write_text("root:x:0:0")
+    name, place = ("arm.xml", ("mechanism",)) if mechanism else ("c.csv", ("trajectories", 0, "file"))
+    folder = write_joint(tmp_path / "c", set_at(joint_meta(), place, {"mjcf": name} if mechanism else name))
+    (folder / name).symlink_to("../secret")
+    text = line(folder)
+    assert "inside the case folder" in text and ":x:" not in text
+    if not mechanism:
+        (folder / name).unlink()
+        (folder / name).symlink_to("a.csv")
+        load_case(folder)
 
 
 def test_mjcf_joint_names(tmp_path: Path) -> None:
