@@ -2,34 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ...sim.base.types import Array
-from ..inference.posterior import Posterior
 from .decide import Decision
 from .diagnosis import Diagnosis, Gap, Rival, Where
-from .posterior import Intervals
 from .prepare import Base
+from .repaired import Repaired
 from .run import Run
 from .search import Searched
 
 
 def record(
-    base: Base, searched: Searched, decision: Decision, run: Run, *, gap: Gap, ranking: tuple[Rival, ...],
-    posterior: Posterior | None, parameters: Intervals, noise: Array, outputs: tuple[Array, Array], where: Where,
-    next_experiment: str,
+    base: Base, searched: Searched, decision: Decision, run: Run, *, repaired: Repaired, ranking: tuple[Rival, ...],
+    noise: Array, where: Where, next_experiment: str,
 ) -> Diagnosis:  # fmt: skip
-    """Return the record of a diagnosis; ``outputs`` are those of the base model and of the repaired one."""
+    """Return the record of a diagnosis."""
     fitted, contest = searched.fitted, base.contest
     explained = fitted.explained(decision.model)
     return Diagnosis(
         case=contest.case, settings=run.settings, recordings=contest.recordings, sigma=noise, verdict=decision.verdict,
-        sentence=sentence(decision, gap, explained, base.unusable), effects=decision.named, parameters=parameters,
-        alternatives=decision.alternatives, nearest=decision.nearest, where=where, gap=gap, ranking=ranking,
+        sentence=sentence(decision, repaired.gap, explained, base.unusable) + stand_in(repaired.implausible),
+        effects=decision.named, parameters=repaired.parameters,
+        alternatives=decision.alternatives, nearest=decision.nearest, where=where, gap=repaired.gap, ranking=ranking,
         explained=explained,
         base_reduced_chi2=fitted.reduced_chi2(fitted.base), motion=base.motion, p_null=searched.p_value,
-        base_output=outputs[0], best_output=outputs[1], base_values=fitted.values(fitted.base),
-        best_values=fitted.values(decision.final), next_experiment=next_experiment, posterior=posterior,
+        base_output=repaired.base_output, best_output=repaired.output, base_values=repaired.base_values,
+        best_values=repaired.values, next_experiment=next_experiment, model=repaired.model,
+        implausible=repaired.implausible, posterior=repaired.posterior,
         world_steps=contest.world_steps, seconds=run.seconds,
     )  # fmt: skip
+
+
+def stand_in(implausible: Sequence[str]) -> str:
+    """Return what to think of a name whose value nature does not have; empty where there is none."""
+    if not implausible:
+        return ""
+    return f" It has a value that nature does not have: {'; '.join(implausible)}. Treat the name as a stand-in."
 
 
 def sentence(decision: Decision, gap: Gap, explained: float, unusable: str | None) -> str:

@@ -177,7 +177,12 @@ def parameter_of(a: Acting, spec: EffectParameter, setting: Setting) -> Paramete
 
     low, high = number(spec.low), number(spec.high)
     typical = None if spec.typical is None else min(max(number(spec.typical), low), high)
-    return Parameter(f"{a.label} {spec.name}", spec.unit, low, high, typical, spec.scale)
+    return Parameter(f"{a.label} {spec.name}", unit_at(spec.unit, setting.slides), low, high, typical, spec.scale)
+
+
+def unit_at(unit: str, slides: bool) -> str:
+    """Return the unit that an effect's parameter has at a joint: at one that slides forces and metres."""
+    return unit.replace("N m", "N").replace("rad", "m") if slides else unit
 
 
 def branch_settings(case: BranchCase) -> list[Setting]:
@@ -226,7 +231,7 @@ def joint_settings(case: JointCase, carried: Sequence[float]) -> list[Setting]:
             if item.joint == joint.name:
                 torque = max(float(np.abs(t.effort[:, c]).max()) for t in case.trajectories)
         out.append(Setting(torque=torque, angle=angle, rate=rate, force=torque, dt=case.dt, start=start,
-                           end=start + duration, duration=duration))  # fmt: skip
+                           end=start + duration, duration=duration, slides=joint.type == "prismatic"))  # fmt: skip
     return out
 
 
