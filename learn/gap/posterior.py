@@ -118,7 +118,7 @@ def _by_curvature(p: Parameter, free: float, spread: float) -> tuple[float, floa
 def at_bound(p: Parameter, free: float, row: tuple[float, float, float]) -> Bound:
     """Return the end of its box that a parameter is at.
 
-    Its median is there to within `NEAR` of the box, or its fit is and the other half of the box is outside its interval.
+    Its median is there to within `NEAR` of the box, or its fit is and its interval is in that half of the box.
 
     Args:
         p: The parameter.

@@ -72,8 +72,8 @@ def repair(base: Base, decision: Decision, run: Run) -> Repaired:
     own = fits.batch[slice(1, 2)]
     posterior = infer(contest, decision, own, train, run)
     parameters = intervals(contest, decision, own, train, posterior)
-    before, after = (_values(contest, model, row) for model, row in
-                     zip((decision.base, decision.final), contest.values(fits.batch).tolist(), strict=True))  # fmt: skip
+    rows = contest.values(fits.batch).tolist()
+    before, after = _values(contest, decision.base, rows[0]), _values(contest, decision.final, rows[1])
     if posterior is not None:
         after = dict(zip(posterior.names, posterior.interval()[0].tolist(), strict=True))
     claimed = decision.verdict != "unknown" or not decision.final.members
