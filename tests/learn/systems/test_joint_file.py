@@ -106,7 +106,9 @@ def test_simulate_takes_the_model(tmp_path, case, capsys):
     written = np.load("out/trajectory.npz")
     exact = np.stack([decay(written["time"], 2.0, 80.0, 1.5, *run)[0] for run in RUNS], axis=1)
     np.testing.assert_allclose(written["measured"][..., 0], exact, atol=1e-8)
-    np.testing.assert_allclose(written["simulated"][..., 0], exact, atol=1e-3)  # float32, and a tenth of a percent of phase
+    np.testing.assert_allclose(
+        written["simulated"][..., 0], exact, atol=1e-3
+    )  # float32, and a tenth of a percent of phase
     assert written["channel"].tolist() == ["position hinge"]
     missed = float(capsys.readouterr().out.split("held-out RMSE ")[1].split(" rad (run_4.csv, not used")[0])
     left = written["simulated"][:, 3, 0] - written["measured"][:, 3, 0]
