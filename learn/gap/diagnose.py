@@ -13,12 +13,11 @@ from ..runs.threads import one_thread
 from .decide import decide
 from .diagnosis import Diagnosis, Settings
 from .evidence import bootstrap_test
-from .held_out import held_out_gap
 from .models.candidates import names_for
 from .next_probe import next_experiment
-from .posterior import infer, intervals
 from .prepare import prepare
 from .record import record
+from .repaired import repair
 from .rivals import rank
 from .run import Progress, Run, silent
 from .search import nothing_searched, restored, search
@@ -41,17 +40,15 @@ def find_missing(case: BranchCase | JointCase, run: Run) -> Diagnosis:
         models, contest = searched.fitted, base.contest
         with run.timed("evidence"):
             decision = decide(base, searched, run.settings)  # none, effects by name, or unknown
-            gap = held_out_gap(base, decision)  # in recordings not fitted to, before and after the repair
             run.progress("evidence", 1)
             ranking = rank(models, decision)  # all models; the leading ones where they were not fitted
-        posterior = infer(models, decision, run)
-        parameters = intervals(models, decision, posterior)
-        noise, outputs = noise_seen(contest), (models.output(decision.base), models.output(decision.final))
-        where = locate(case, contest.recordings, noise, outputs[0], models.stiffness(decision.base))
+        repaired = repair(base, decision, run)  # one model that is fitted, inferred, written, and misses what it misses
+        noise = noise_seen(contest)
+        where = locate(case, contest.recordings, noise, repaired.base_output, repaired.base_stiffness)
         probe = base.unusable or next_experiment(models, decision)
     return record(
-        base, searched, decision, run, gap=gap, ranking=ranking, posterior=posterior, parameters=parameters,
-        noise=noise, outputs=outputs, where=where, next_experiment=probe,
+        base, searched, decision, run, repaired=repaired, ranking=ranking, noise=noise, where=where,
+        next_experiment=probe,
     )  # fmt: skip
 
 

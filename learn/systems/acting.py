@@ -178,14 +178,14 @@ def parameter_of(a: Acting, spec: EffectParameter, setting: Setting) -> Paramete
 
     low, high = number(spec.low), number(spec.high)
     typical = None if spec.typical is None else min(max(number(spec.typical), low), high)
-    return Parameter(f"{a.label} {spec.name}", unit_at(spec.unit, setting), low, high, typical, spec.scale)
+    return Parameter(f"{a.label} {spec.name}", unit_at(spec.unit, setting.slides), low, high, typical, spec.scale)
 
 
-def unit_at(unit: str, setting: Setting) -> str:
+def unit_at(unit: str, slides: bool) -> str:
     """Return a registry's unit as it is at a joint: along a slide metres stand for radians and N for N m."""
     if " or " in unit:
-        return unit.split(" or ")[setting.slides]
-    return unit.replace("N m", "N").replace("rad", "m") if setting.slides else unit
+        return unit.split(" or ")[slides]
+    return unit.replace("N m", "N").replace("rad", "m") if slides else unit
 
 
 def branch_settings(case: BranchCase) -> list[Setting]:

@@ -220,7 +220,10 @@ def _device(found: Findings) -> str:
 
 def content(found: Findings) -> ReportContent:
     """Return what the page says."""
-    cleared, beside = _over_seeds(found.mean(FINAL.run, SUCCESS)), ", ".join(f"{n} {found.rows[FINAL.run][n].mean(SUCCESS):.1f} %" for n in BASELINES)
+    cleared, beside = (
+        _over_seeds(found.mean(FINAL.run, SUCCESS)),
+        ", ".join(f"{n} {found.rows[FINAL.run][n].mean(SUCCESS):.1f} %" for n in BASELINES),
+    )
     thesis = FINAL.thesis[SUCCESS][0]
     return ReportContent(
         title="Chapter 5 again, in simulation",
