@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -28,6 +29,8 @@ class Diagnose:
         tolerance: Change of the motion, as a share of its rms, below which a missing effect is of no interest.
         max_effects: Most effects that are named together.
         seed: Seed of everything random.
+        fit: Of joints measured directly: replay the motion that the efforts cause, or fit the torques that the motion
+            needs; chosen by what was measured if not given.
         resume: Go on with a killed run of the same case, settings and --out.
     """
 
@@ -37,6 +40,7 @@ class Diagnose:
     tolerance: float = TOLERANCE
     max_effects: int = 2
     seed: int = 0
+    fit: Literal["replay", "torque"] | None = None
     resume: bool = False
 
     def run(self) -> int:
@@ -45,7 +49,7 @@ class Diagnose:
         from ..learn.gap.diagnosis import Settings
 
         names = tuple(name for entry in self.effects for name in entry.split(","))
-        settings = Settings(names, self.tolerance, self.max_effects, self.seed)
+        settings = Settings(names, self.tolerance, self.max_effects, self.seed, fit=self.fit)
         settings.check()
         case = load_case(self.case)
         start_warp()

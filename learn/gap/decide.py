@@ -52,6 +52,7 @@ class Decision:
         named: Effects that are claimed.
         alternatives: For each of them the names that these data cannot tell from it.
         nearest: For ``unknown`` the closest name, not claimed; None if the data cannot support a verdict.
+        unstable: What would change the verdict of measured joints, see `steady`.
     """
 
     verdict: VerdictName
@@ -61,6 +62,7 @@ class Decision:
     named: tuple[Acting, ...] = ()
     alternatives: dict[str, tuple[str, ...]] = field(default_factory=dict)
     nearest: str | None = None
+    unstable: tuple[str, ...] = ()
 
 
 def decide(base: Base, searched: Searched, settings: Settings) -> Decision:

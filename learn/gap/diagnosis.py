@@ -28,6 +28,7 @@ class Settings:
         max_effects: Most effects that are named together.
         seed: Seed of all random numbers.
         particles: Particles of the joint posterior of base and effects; 0 uses the curvature at the fit instead.
+        fit: Replay or torque for joints measured directly; None chooses, see `learn.replay.choice`.
     """
 
     effects: tuple[str, ...] = ()
@@ -35,6 +36,7 @@ class Settings:
     max_effects: int = 2
     seed: int = 0
     particles: int = 64
+    fit: Literal["replay", "torque"] | None = None
 
     def check(self) -> None:
         """Raise `InputError` for numbers that cannot be and names that no effect has."""
@@ -145,6 +147,8 @@ class Diagnosis:
         posterior: Joint posterior of base and effects, None where nothing was named.
         next_experiment: What to probe next.
         seconds: Wall time of each stage.
+        fit: Of joints measured directly: replay or torque, why, and whether the other way can be asked for.
+        unstable: What changes the verdict, such as ``a filter of 25 Hz names backlash``; empty if nothing does.
     """
 
     case: BranchCase | JointCase
@@ -172,6 +176,8 @@ class Diagnosis:
     posterior: Posterior | None = None
     world_steps: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
+    fit: dict[str, str] = field(default_factory=dict)
+    unstable: tuple[str, ...] = ()
 
     def verdict_file(self) -> dict[str, Any]:
         """Return what ``verdict.json`` holds, as CASE_FORMAT states it."""
@@ -192,5 +198,5 @@ class Diagnosis:
             "gap": {"base": self.gap.base, "repaired": self.gap.repaired, "noise_floor": self.gap.noise_floor,
                     "unit": self.gap.unit},
             "p_null": self.p_null, "next_experiment": self.next_experiment, "sentence": self.sentence,
-            "explained": self.explained,
+            "explained": self.explained, "fit": self.fit, "unstable": list(self.unstable),
         }  # fmt: skip

@@ -39,6 +39,8 @@ def sentence(decision: Decision, gap: Gap, explained: float, unusable: str | Non
     if decision.verdict == "none":
         rmse = f"held-out RMSE {gap.base:.3g} {gap.unit}, noise floor {gap.noise_floor:.3g}"
         return f"No missing effect is detectable in these data: {rmse}."
+    if decision.unstable:
+        return f"No effect is named, since the verdict hangs on how the data are treated: {decision.unstable[0]}."
     if decision.verdict == "unknown":
         return (f"An effect is missing that is none of the known ones; the nearest, {decision.nearest}, explains"
                 f" {100 * explained:.0f} % of the excess misfit.")  # fmt: skip
