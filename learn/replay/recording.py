@@ -24,6 +24,8 @@ class Recording:
         grasp: Link that is held and the grasp point in its body frame [m]; None where joints are driven.
         t_start: When it starts on the case's absolute clock [s].
         sensed: What a branch's force sensor read, gripper open or not [N], shape [T, 3]; None: the same as ``input``.
+        fine: Motion at all samples where a torque fit keeps every n-th, columns as in ``input``, shape [>= n T - n + 1,
+            3 J]; None: ``input``.
     """
 
     t: Array
@@ -34,6 +36,7 @@ class Recording:
     grasp: tuple[int, Array] | None = None
     t_start: float = 0.0
     sensed: Array | None = None
+    fine: Array | None = None
 
 
 def recordings(case: BranchCase | JointCase) -> list[Recording]:
