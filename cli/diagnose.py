@@ -77,7 +77,7 @@ class Diagnose:
 
 @dataclass(frozen=True)
 class Exam:
-    """Hide effects in branches of another simulator, diagnose them, score the verdicts, draw the confusion matrix.
+    """Hide effects in branches or joints of another simulator, diagnose them, score the verdicts, draw who is who.
 
     Writes results.jsonl (one line per case, appended: the same command continues a stopped exam), exam.json,
     confusion.png and exam.md.
@@ -85,14 +85,17 @@ class Exam:
     Attributes:
         out: Folder to write to.
         cases: Number of cases: nothing hidden, one effect, two, or one that the registry does not have, 3 : 3 : 1 : 1.
-        noise: Noise of displacement and velocity as a share of their rms; the force has half of it.
+        joints: Measured joints and mechanisms instead of branches: thirty laws, ten of them on no list.
+        noise: Noise of a branch's displacement and velocity as a share of their rms, 0.03 if not given; the force has
+            half of it.
         seed: Seed of the cases.
         jobs: Cases that run at the same time.
     """
 
     out: Path
     cases: int = 104
-    noise: float = 0.03
+    joints: bool = False
+    noise: float | None = None
     seed: int = 0
     jobs: int = 2
 
@@ -100,7 +103,8 @@ class Exam:
         """Hold the exam and print its table."""
         check_seed("exam", self.seed)  # said before torch is there
         check_output(self.out)
-        from ..learn.gap.exam import hold
+        from ..learn.exam.hold import hold
 
-        print(hold(self.out, cases=self.cases, noise=self.noise, seed=self.seed, jobs=self.jobs))
+        options = {"noise": self.noise, "joints": self.joints}
+        print(hold(self.out, cases=self.cases, seed=self.seed, jobs=self.jobs, **options))
         return ExitCode.DONE

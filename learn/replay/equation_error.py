@@ -5,9 +5,9 @@ time. Coordinates, rates and accelerations are taken from the measured motion, a
 (equation error; Gautier & Khalil 1988; Swevers, Verdonck & De Schutter 2007). Motion and efforts pass
 through one zero-phase low-pass filter first: a Butterworth filter of second order, run forward and backward.
 
-Measured and predicted efforts then pass through a second one, a symmetric window, before samples are left out (parallel
-filtering and decimation; Gautier 1997, Proc. IEEE ICRA). A torque that jumps, as friction does where a joint turns back,
-is thus rounded in the prediction as it is in the measurement.
+Measured and predicted efforts then pass through a second one, a symmetric window, before samples are left out
+(parallel filtering and decimation; Gautier 1997, Proc. IEEE ICRA). A torque that jumps, as friction does where a joint
+turns back, is thus rounded in the prediction as it is in the measurement.
 """
 
 from __future__ import annotations
