@@ -87,7 +87,7 @@ def _fitted(case: BranchCase | JointCase, names: Sequence[str], seed: int) -> Ba
     contest = Contest(case, [thinned(case, r) for r in recordings_of(case)], sigma, names)
     fits = fit(contest, _best_mode(contest, seed), 3)
     seen = noise_at_rest(contest, fits.batch)
-    if seen.spectrum:
+    if (seen.sigma != sigma).any():
         contest.set_noise(seen.sigma)
         fits = fit(contest, fits.batch, 3)
     if isinstance(case, BranchCase) and force_sigma is not None:

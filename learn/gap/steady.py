@@ -17,6 +17,7 @@ from ..cases.case import BranchCase, JointCase, JointTrajectory
 from ..inference.identify import pooled_sigma
 from ..replay.choice import roughness
 from ..replay.equation_error import fits_torque, noise_of, recordings_of, thinned
+from ..replay.motion_noise import motion_noise
 from .decide import Decision, alternatives, decide, known, leading
 from .evidence import bootstrap_test
 from .models.at_rest import Noise
@@ -152,7 +153,7 @@ def _smooth(case: JointCase) -> bool:
 
 def _again(base: Base, searched: Searched, decision: Decision, variant: Variant, run: Run) -> Decision:
     """Return the decision by the leading models, fitted to a variant."""
-    contest = _contest(base.contest, variant)
+    contest = _contest(base.contest, variant, searched.fitted.base.fit.batch)
     chosen = _leading(searched.fitted, decision)
     batch = _within(contest, Batch.joined([m.fit.batch for m in chosen]), variant.recordings)
     fits = fit(contest, batch, STEPS)
@@ -166,12 +167,16 @@ def _again(base: Base, searched: Searched, decision: Decision, variant: Variant,
     return decide(other, Searched(fitted, p_value), run.settings)
 
 
-def _contest(first: Contest, variant: Variant) -> Contest:
+def _contest(first: Contest, variant: Variant, base: Batch) -> Contest:
     """Return the contest of a variant, with its noise where the filter makes it another one."""
     case = variant.case
     every = [thinned(case, r) for r in recordings_of(case)]
     sigma = pooled_sigma(case, noise_of(case)) if fits_torque(case) else first.sigma.cpu().numpy()
-    return Contest(case, [every[j] for j in variant.recordings], sigma, first.names, device=first.device)
+    contest = Contest(case, [every[j] for j in variant.recordings], sigma, first.names, device=first.device)
+    if fits_torque(case):
+        base = _within(contest, base, variant.recordings)
+        contest.set_noise(np.hypot(sigma, motion_noise(case, contest.unknowns, contest.values(base)[0])))
+    return contest
 
 
 def _within(contest: Contest, batch: Batch, recordings: tuple[int, ...]) -> Batch:
