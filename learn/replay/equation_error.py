@@ -5,9 +5,9 @@ time. Coordinates, rates and accelerations are taken from the measured motion, a
 (equation error; Gautier & Khalil 1988; Swevers, Verdonck & De Schutter 2007). Motion and efforts pass
 through one zero-phase low-pass filter first: a Butterworth filter of second order, run forward and backward.
 
-Measured and predicted efforts then pass through a second one, a symmetric window, before samples are left out
-(parallel filtering and decimation; Gautier 1997, Proc. IEEE ICRA). A torque that jumps, as friction does where a joint
-turns back, is thus rounded in the prediction as it is in the measurement.
+For fits that filter is three times as wide, and measured and predicted efforts pass a second one at the cut-off, a
+symmetric window, before samples are left out (parallel filtering and decimation; Gautier 1997, Proc. IEEE ICRA). A
+torque that jumps, as friction does where a joint turns back, is thus rounded in the prediction as in the measurement.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ from .recording import Recording, recordings
 from .rollout import Rollout
 
 ORDER = 2
+#: Cut-off of the first filter relative to that of the second one. A low pass rounds the kink that friction makes in a
+#: rate that changes sign, and moves where it does.
+WIDE = 3.0
 _QUANTITIES = ("position", "velocity", "acceleration")
 
 
@@ -75,10 +78,18 @@ def _recording(case: JointCase, trajectory: JointTrajectory, sources: list[list[
     inner = slice(period, count - period)
     motion = np.concatenate([_motion(case, trajectory, columns) for columns in sources], axis=1)
     effort = low_pass(_at_samples(case, trajectory.effort), case.dt, case.filter_hz)
+    wide = wider(case)
+    fine = [_motion(wide, trajectory, columns) for columns in sources]
+    fine.append(low_pass(_at_samples(case, trajectory.effort), case.dt, wide.filter_hz))
     return Recording(
         trajectory.t[inner], motion[inner], effort[inner], np.zeros((0, 2)), np.zeros(count - 2 * period, dtype=bool),
-        None, trajectory.t_start,
+        None, trajectory.t_start, fine=np.concatenate(fine, axis=1)[inner],
     )  # fmt: skip
+
+
+def wider(case: JointCase) -> JointCase:
+    """Return a case with the cut-off that motion and efforts pass before `averaged` takes them to the case's own."""
+    return replace(case, filter_hz=min(WIDE * case.filter_hz, max(0.4 / case.dt, case.filter_hz)))
 
 
 def noise_of(case: BranchCase | JointCase) -> NoiseEstimate:
@@ -99,8 +110,10 @@ def thinned(case: BranchCase | JointCase, recording: Recording) -> Recording:
         return recording
     every = _every(case)
     columns = {name: getattr(recording, name)[::every] for name in ("t", "input", "contact")}
-    effort = averaged(case, torch.as_tensor(recording.output)).numpy()
-    return replace(recording, **columns, output=effort, fine=recording.input)
+    if recording.fine is None:
+        return replace(recording, **columns, output=recording.output[::every])
+    effort = averaged(case, torch.as_tensor(recording.fine[:, recording.input.shape[1] :])).numpy()
+    return replace(recording, **columns, output=effort, every=every)
 
 
 def _every(case: JointCase) -> int:
@@ -139,7 +152,8 @@ def torque_noise(case: JointCase, second: Array | None = None) -> NoiseEstimate:
 
     efforts = tuple(replace(t, output=t.effort) for t in case.trajectories)
     raw = estimate_noise(replace(case, outputs=case.channels, trajectories=efforts))
-    _, response = sosfreqz(_filter(case.dt, case.filter_hz), 4096)
+    cutoff = case.filter_hz if second is None else wider(case).filter_hz
+    _, response = sosfreqz(_filter(case.dt, cutoff), 4096)
     after = 1.0 if second is None else np.abs(freqz(second, worN=4096)[1]) ** 2
     gain = np.sqrt(np.mean(np.abs(response) ** 4 * after))  # two passes have the gain |H|^2, power |H|^4
     return NoiseEstimate(raw.channel, gain * raw.sigma, {name: gain * sigma for name, sigma in raw.by_method.items()})
@@ -204,7 +218,7 @@ class EquationError(Rollout):
         m, sim, dev, case = self.model, self.simulator, self.device, self.case
         assert isinstance(case, JointCase) and not isinstance(self.system, BranchSystem)
         place = {joint.name: int(m.link_place[joint.link]) for joint in self.system.joints}
-        moves = [r.input if r.fine is None else r.fine for r in self.recordings]
+        moves = [r.fine[:, : r.input.shape[1]] if r.every and r.fine is not None else r.input for r in self.recordings]
         self.kept, self.samples = self.samples, np.array([len(x) for x in moves])
         longest, count = int(self.samples.max()), len(self.recordings)
         motion = np.zeros((count, longest * len(place), 3))
@@ -226,7 +240,7 @@ class EquationError(Rollout):
 
     def _watched(self, out: torch.Tensor) -> torch.Tensor:
         """Average and thin the efforts [S, R, T, C] of thinned recordings."""
-        if self.recordings[0].fine is None:
+        if not self.recordings[0].every:
             return out
         assert isinstance(self.case, JointCase)
         found = out.new_zeros(*out.shape[:2], int(self.kept.max()), out.shape[-1])
@@ -245,7 +259,7 @@ class EquationError(Rollout):
         starts = [r.t_start + float(r.t[0]) for r in self.recordings]
         begins: wp.array = wp.array(starts, dtype=wp.float64, device=self.device)
         r = self.recordings[0]
-        spacing = float(r.t[1] - r.t[0]) / (1 if r.fine is None else _every(self.case))
+        spacing = float(r.t[1] - r.t[0]) / max(1, r.every)
         kernel = effect_efforts_kernel(m.width, m.precision, terms_of(acting.names, acting.form))
         before = [m.kernel, self.effects.kernel, *integers, begins, motion]
         laws = self.simulator._launcher.prepare(kernel, before, [spacing, self._output.kernel])

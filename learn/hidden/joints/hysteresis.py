@@ -65,8 +65,9 @@ class Stops(Turned):
 
 @dataclass
 class Relays(Turned):
-    """A spring in series with a slip that lags: relays that switch up at c + r and down at c - r, weighted over a half
-    plane (Preisach 1935; Mayergoyz 2003). The torque is that of the angle less the slip.
+    """A spring in series with a slip made of relays, which switch up at c + r and down at c - r.
+
+    They are weighted over a half plane (Preisach 1935; Mayergoyz 2003). The torque is that of the angle less the slip.
     """
 
     joint: int
