@@ -105,6 +105,8 @@ class Exam:
         check_output(self.out)
         from ..learn.exam.hold import hold
 
-        options = {"noise": self.noise, "joints": self.joints}
-        print(hold(self.out, cases=self.cases, seed=self.seed, jobs=self.jobs, **options))
+        table = hold(
+            self.out, cases=self.cases, noise=self.noise, seed=self.seed, jobs=self.jobs, joints=self.joints
+        )  # fmt: skip
+        print(table)
         return ExitCode.DONE

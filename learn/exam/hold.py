@@ -48,7 +48,8 @@ def hold(out: Path, *, cases: int, noise: float | None, seed: int, jobs: int, jo
     out.mkdir(parents=True, exist_ok=True)
     place = out / "results.jsonl"
     done = [json.loads(line) for line in place.read_text().splitlines()] if place.exists() else []
-    plan = joint_plan(cases, seed) if noise is None else exam_plan(cases, seed, noise=noise)
+    plan: list[Spec | JointCaseSpec] = []
+    plan += joint_plan(cases, seed) if noise is None else exam_plan(cases, seed, noise=noise)
     todo = [(k, s) for k, s in enumerate(plan) if k not in {d["case"] for d in done}]
     with Progress() as bar, multiprocessing.get_context("spawn").Pool(jobs) as pool:
         task = bar.add_task("exam", total=cases, completed=cases - len(todo))

@@ -127,9 +127,11 @@ def averaged(case: JointCase, effort: torch.Tensor) -> torch.Tensor:
     """
     taps = torch.as_tensor(window(case), dtype=effort.dtype, device=effort.device)[None, None]
     rows = effort.transpose(-1, -2)
-    options = {"stride": _every(case), "padding": taps.shape[-1] // 2}
-    flat = torch.nn.functional.conv1d(rows.reshape(-1, 1, rows.shape[-1]), taps, **options)
-    share = torch.nn.functional.conv1d(torch.ones_like(rows.reshape(-1, 1, rows.shape[-1])[:1]), taps, **options)
+    every, beyond = _every(case), taps.shape[-1] // 2
+    flat = torch.nn.functional.conv1d(rows.reshape(-1, 1, rows.shape[-1]), taps, stride=every, padding=beyond)
+    share = torch.nn.functional.conv1d(
+        torch.ones_like(rows.reshape(-1, 1, rows.shape[-1])[:1]), taps, stride=every, padding=beyond
+    )
     return (flat / share).reshape(*rows.shape[:-1], -1).transpose(-1, -2)
 
 

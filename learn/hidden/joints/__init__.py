@@ -2,5 +2,5 @@
 
 Nothing of ``bough.sim.effects`` or of the kernels is imported; the form that a law has here is rarely the registry's.
 
-Uses: `sim.base`.
+Uses: nothing of the package.
 """

@@ -126,11 +126,10 @@ def draw_rig(kind: str, rng: Random) -> Rig:
 
 def _single(inertia: float, stiffness: float, damping: float, weight: float = 0.0) -> Chain:
     """Return one link whose inertia about its joint and whose gravity torque are given."""
-    mass = max(weight / (9.81 * 0.1), 1e-6)
-    return Chain(
-        *(np.array([x]) for x in (mass, 0.1 if weight else 0.0, 0.0, inertia - (mass * 0.01 if weight else 0.0), 0.0)),
-        np.array([stiffness]), np.array([damping]), gravity=9.81 if weight else 0.0,
-    )  # fmt: skip
+    mass, reach = max(weight / (9.81 * 0.1), 1e-6), 0.1 if weight else 0.0
+    numbers = (mass, reach, 0.0, inertia - mass * reach**2, 0.0, stiffness, damping)
+    m, r, length, central, armature, k, d = (np.array([x]) for x in numbers)
+    return Chain(m, r, length, central, armature, k, d, gravity=9.81 if weight else 0.0)
 
 
 def _links(rng: Random, count: int, gravity: float) -> Chain:
