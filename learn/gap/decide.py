@@ -57,6 +57,7 @@ class Decision:
         alternatives: For each of them the names that these data cannot tell from it.
         nearest: For ``unknown`` the closest name, not claimed; None if the data cannot support a verdict.
         too_small: For ``none`` whether more than noise is left, which is smaller than the tolerance.
+        unstable: What would change the verdict of measured joints, see `steady`.
     """
 
     verdict: VerdictName
@@ -67,6 +68,7 @@ class Decision:
     alternatives: dict[str, tuple[str, ...]] = field(default_factory=dict)
     nearest: str | None = None
     too_small: bool = False
+    unstable: tuple[str, ...] = ()
 
 
 def decide(base: Base, searched: Searched, settings: Settings) -> Decision:

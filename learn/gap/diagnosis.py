@@ -34,6 +34,7 @@ class Settings:
         max_effects: Most effects that are named together.
         seed: Seed of all random numbers.
         particles: Particles of the joint posterior of base and effects; 0 uses the curvature at the fit instead.
+        fit: Replay or torque for joints measured directly; None chooses, see `learn.replay.choice`.
     """
 
     effects: tuple[str, ...] = ()
@@ -41,6 +42,7 @@ class Settings:
     max_effects: int = 2
     seed: int = 0
     particles: int = 64
+    fit: Literal["replay", "torque"] | None = None
 
     def check(self) -> None:
         """Raise `InputError` for numbers that cannot be and names that no effect has."""
@@ -164,6 +166,8 @@ class Diagnosis:
         unusable: Why the data cannot support a verdict, with the missing probe; None where they can.
         not_understood: Which results contradict each other (`consistent`).
         remarks: What the data leave open beside the verdict, a sentence each.
+        fit: Of joints measured directly: replay or torque, why, and whether the other way can be asked for.
+        unstable: What changes the verdict, such as ``a filter of 25 Hz names backlash``; empty if nothing does.
     """
 
     case: BranchCase | JointCase
@@ -200,6 +204,8 @@ class Diagnosis:
     unusable: str | None = None
     not_understood: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    fit: dict[str, str] = field(default_factory=dict)
+    unstable: tuple[str, ...] = ()
 
     @property
     def held_out(self) -> bool:
@@ -228,7 +234,8 @@ class Diagnosis:
                     "motion": self.swing, "replicate_scatter": self.scatter},
             "p_null": finite(self.p_null), "next_experiment": self.next_experiment, "sentence": self.sentence,
             "explained": finite(self.explained), "not_understood": list(self.not_understood),
-            "remarks": list(self.remarks), "implausible": list(self.implausible),
+            "remarks": list(self.remarks), "implausible": list(self.implausible), "fit": self.fit,
+            "unstable": list(self.unstable),
         }  # fmt: skip
 
 

@@ -98,7 +98,7 @@ def settle(base: Base) -> None:
     """Take the noise of channels and force, and the bending of wood, about the base as it is fitted, and refit it."""
     contest, case = base.contest, base.contest.case
     base.noise = noise_at_rest(contest, base.fit.batch)
-    if base.noise.spectrum:
+    if (base.noise.sigma != contest.sigma.cpu().numpy()).any():
         contest.set_noise(base.noise.sigma)
         base.fit = fit(contest, base.fit.batch, 3)
     if isinstance(case, BranchCase) and base.force_sigma is not None:

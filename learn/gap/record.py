@@ -38,4 +38,5 @@ def record(
         size=size(fitted, decision.model, base.motion), unusable=unusable,
         swing=swing_of(case, recordings, gap.test or range(len(recordings))),
         scatter=replicate_scatter(case, recordings), remarks=one_way(case, recordings, fitted.values(fitted.base)),
+        unstable=decision.unstable,
     ))  # fmt: skip

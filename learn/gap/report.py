@@ -147,6 +147,10 @@ def _advice(d: Diagnosis) -> list[KeyNumber]:
     if d.verdict == "unknown":
         name = f"{d.nearest}, which is not claimed." if d.nearest else "None."
         out.append(KeyNumber("Nearest candidate", "", "", name))
+    out += [KeyNumber("Unstable", "", "", f"{line}.") for line in d.unstable]
+    if d.fit:
+        other = f" The other way: --fit {d.fit['other']}." if d.fit["other"] else ""
+        out.append(KeyNumber("Fitted", d.fit["method"], "", f"{d.fit['reason']}.{other}"))
     return [*out, KeyNumber("Next probe", "", "", d.next_experiment)]
 
 

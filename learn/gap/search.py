@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from ..replay.input_noise import Colour
 from .evidence import ALARM, Evidence, bootstrap_test, lacks_fit
+from .models.at_rest import Noise
 from .models.contest import Batch
 from .models.fitted import FittedModels, Model
 from .models.levels import LEADERS, better_of, first_level, moved, next_level, reduced, refitted
@@ -124,7 +125,7 @@ def _add_effects(fitted: FittedModels, run: Run) -> None:
 def _save(searched: Searched, run: Run) -> None:
     fitted, contest = searched.fitted, searched.fitted.contest
     models = [vars(m) | {"fit": {**vars(m.fit), "batch": vars(m.fit.batch)}} for m in (fitted.base, *fitted.models)]
-    noise = {"nuisance": contest.nuisance, "overdispersion": contest.overdispersion}
+    noise = {"sigma": contest.sigma, "nuisance": contest.nuisance, "overdispersion": contest.overdispersion}
     noise["colour"] = None if contest.colour is None else vars(contest.colour)
     run.keep.save("search", {"models": models, "p_value": searched.p_value, **noise})
 
@@ -135,6 +136,8 @@ def restored(base: Base, run: Run) -> Searched | None:
     if state is None:
         return None
     contest = base.contest
+    contest.set_noise(state["sigma"].cpu().numpy())
+    base.noise = Noise(state["sigma"].cpu().numpy(), base.noise.spectrum)
     contest.nuisance, contest.overdispersion = state["nuisance"], state["overdispersion"]
     contest.colour = None if state["colour"] is None else Colour(**state["colour"])
     models = [Model(m["members"], Fits(**{**m["fit"], "batch": Batch(**m["fit"]["batch"])}), m["settled"], m["rests"])

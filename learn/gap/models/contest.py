@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from ....sim.base.types import Array
@@ -98,6 +99,7 @@ class Contest:
         overdispersion: Reduced chi-squared expected of the best model; prior terms are scaled by it.
         names: Effects that may act.
         motion: Measured channels, but joints' positions about their means, [R, T, C]; zero past a recording's end.
+        data_sigma: Noise of the channels as it was estimated from the data alone, shape [C].
         num_samples: Number of measured values with noise above zero, the N of the reduced chi-squared.
         world_steps: World-steps taken so far.
     """
@@ -122,6 +124,7 @@ class Contest:
         self.low, self.high = low.to(self.place), high.to(self.place)
         self._prior()
         self._stack()
+        self.data_sigma = np.array(sigma)
         self.set_noise(sigma)
         self.colour: Colour | None = None
         self.overdispersion = 1.0
