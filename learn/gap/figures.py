@@ -43,11 +43,14 @@ def heat_figure(
         edges: Of the windows [s], shape [W + 1].
         titles: Name of each recording, length R.
         noise: Noise of the sensors as a share of the motion.
-        scatter: Scatter of repeats as a share of the motion, None where nothing was repeated.
+        scatter: Scatter of repeats as a share of the motion, which is named where it is above the noise; None where
+            nothing was repeated.
     """
     count = len(base)
     figure = Figure(figsize=(WIDTH, 1.7 + 0.3 * max(count, 3)), layout="constrained")
-    known = f"noise {_percent(noise)}" + ("" if scatter is None else f", repeats differ by {_percent(scatter)}")
+    known = f"noise {_percent(noise)}"
+    if scatter is not None and scatter > noise:
+        known += f", repeats differ by {_percent(scatter)}"
     figure.suptitle(f"Residual as a share of the motion ({known})", fontsize=11)
     axes = figure.subplots(1, 2, sharey=True)
     low, top = heat_scale(np.concatenate([base, best]), noise)
@@ -76,7 +79,7 @@ def heat_scale(shares: Array, noise: float) -> tuple[float, float]:
 
 
 def _percent(x: float) -> str:
-    return f"{100.0 * x:.3g} %" if x >= 1e-6 else f"{100.0 * x:.0e} %"
+    return f"{100.0 * x:.2g} %" if x >= 1e-6 else f"{100.0 * x:.0e} %"
 
 
 @styled

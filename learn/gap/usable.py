@@ -29,6 +29,9 @@ LAW = 3
 #: Factor between what recordings say of one plant from which it is not one; share of the best model's excess that fits
 #: to each recording alone may leave for that; steps of such a fit; least motion of a recording beside the largest.
 APART, SEPARATE_LEAVE, SEPARATE_STEPS, LIVELY = 1.5, 0.25, 20, 0.1
+#: Share of the base model's excess from which the preferred model's effects are why recordings differ: a branch that
+#: broke in part is another one afterwards.
+ENOUGH_EXPLAINED = 0.87
 #: Rate, relative to the largest, from which a joint moves; share of moving samples that make a direction.
 MOVING, DIRECTION = 0.05, 0.02
 
@@ -76,7 +79,8 @@ def different_plants(fitted: FittedModels, model: Model) -> str | None:
     contest, case = fitted.contest, fitted.contest.case
     count = len(contest.recordings)
     left = model.chi2 - contest.num_samples
-    if count < 2 or fitted.reduced_chi2(model) <= QUIET or (isinstance(case, JointCase) and case.mjcf is not None):
+    known = fitted.reduced_chi2(model) <= QUIET or fitted.explained(model) >= ENOUGH_EXPLAINED
+    if count < 2 or known or (isinstance(case, JointCase) and case.mjcf is not None):
         return None
     alone = _each_alone(contest, fitted.base.fit.batch)
     if float(alone.chi2.sum()) - contest.num_samples > SEPARATE_LEAVE * left:
@@ -101,8 +105,9 @@ def _each_alone(contest: Contest, base: Batch) -> Fits:
     batch.weight = torch.eye(count).repeat(2, 1).to(batch.free)
     if isinstance(case, JointCase):  # swings of another frequency end in false minima from the fit to all
         for j, t in enumerate(case.trajectories):
-            own = system_of(replace(case, trajectories=(t,), train=None, test=None)).parameters
-            batch.free[count + j, : contest.num_base] = torch.tensor([p.start for p in own]).to(batch.free)
+            own = {p.name: p for p in system_of(replace(case, trajectories=(t,), train=None, test=None)).parameters}
+            for k, p in enumerate(contest.parameters[: contest.num_base]):
+                batch.free[count + j, k] = own.get(p.name, p).start
         batch.free[count:] = batch.free[count:].clamp(contest.low, contest.high)
     fits = fit(contest, batch, SEPARATE_STEPS)
     chi2 = fits.chi2.view(2, count)

@@ -101,7 +101,7 @@ class Launcher:
 def load(module: Any, device: Any, block: int) -> None:
     """Load a kernel's module as launches do, and say so where it must be compiled, which takes up to minutes."""
     wp.init()  # the cache has its place from then on
-    kept = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block)
+    kept = Path(str(wp.config.kernel_cache_dir)) / module.get_module_identifier(block)
     with nullcontext() if any(kept.glob("*.o" if device.is_cpu else "*.sm*")) else meanwhile(COMPILING):
         module.load(device, block_dim=block)
 

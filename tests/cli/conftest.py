@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import shutil
 import subprocess
 import sys
@@ -19,11 +20,16 @@ from oracles.branch_case import make_branch_case
 
 @dataclass(frozen=True)
 class Ran:
-    """A finished command: exit code and what it printed."""
+    """A finished command: exit code and what it printed; ``err`` without lines of progress, which come by the clock."""
 
     code: int
     out: str
     err: str
+
+    def __post_init__(self) -> None:
+        """Leave lines of progress out."""
+        kept = [x for x in self.err.splitlines(keepends=True) if not re.match(r"bough: \d+ s: ", x)]
+        object.__setattr__(self, "err", "".join(kept))
 
     def refused(self, *words: str) -> None:
         """Assert exit code 2 and one line on stderr that holds the words, with nothing on stdout."""

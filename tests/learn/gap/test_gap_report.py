@@ -280,6 +280,10 @@ def test_figures_draw_the_numbers_given() -> None:
     drawn = figures.heat_figure(heat, np.ones((2, 2)), np.array([0.0, 1.0, 2.0]), titles=["a", "b" * 60], noise=0.1)
     mesh = drawn.axes[0].collections[0].get_array()
     assert mesh.mask.tolist() == [[False, False], [False, True]] and mesh.max() == 8.0
+    scales = [((0.5, 20.0), 1.0, 1.0), ((0.5, 20.0), 1e-9, 0.5), ((1e-9, 20.0), 1e-9, 0.02), ((0.1, 0.2), 50.0, 0.2)]
+    assert [figures.heat_scale(np.array(shares), noise)[0] for shares, noise, _ in scales] == [
+        low for *_, low in scales
+    ]
     assert [len(t.get_text()) for t in drawn.axes[0].get_yticklabels()] == [1, figures.LONGEST]
     ranks = figures.ranking_figure(["x", "y + z", ""], np.array([0.0, 12.0, 400.0]), np.array([0.9, 0.5, 0.0]))
     assert [p.get_width() for p in ranks.axes[0].patches] == [0.0, 12.0, 400.0]

@@ -1,5 +1,7 @@
 """What a case cannot say is said: too few samples, other plants, one direction only; laws of springs need a spring."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -9,6 +11,7 @@ from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.candidates import everywhere, names_for, needs_spring, springs
 from bough.learn.gap.run import Run
 from bough.learn.gap.usable import one_way, plant_numbers, too_few
+from bough.learn.gap.where import locate, replicate_scatter, swing_of
 from bough.learn.replay.recording import recordings
 from bough.learn.runs.threads import one_thread
 from bough.sim.effects import effects
@@ -123,3 +126,30 @@ def test_springless_joints_are_not_tried_with_springs(tmp_path):
     sprung = write(tmp_path / "sprung", [swings(100, 14.0)] * 2, HANGING | {"stiffness": None})
     assert springs(sprung) == [True] and {"cubic_stiffness", "backlash"} < set(names_for(sprung))
     assert {a.name for a in everywhere(hanging, ["cubic_stiffness", "dry_friction"])} == {"dry_friction"}
+
+
+def test_scatter_of_repeats_is_what_they_differ_by(tmp_path):
+    """Find the scatter that was put on repeats: a deviation of 2 mrad from their mean, noise of 1e-9 or not."""
+    clean, rng = swings(400, 14.0, noise=0.0, size=0.3), np.random.default_rng(5)
+    runs = [clean + 2e-3 * rng.standard_normal(400) for _ in range(2)]
+    case = write(tmp_path / "twice", [*runs, clean], HANGING)
+    once = recordings(case)
+    assert replicate_scatter(case, once) is None
+    first, second, third = case.trajectories
+    case = replace(case, trajectories=(first, replace(second, replicate_of=0), third))
+    assert replicate_scatter(case, once) == pytest.approx(2e-3, rel=0.15)  # 400 differences: 5 % is one deviation
+    assert swing_of(case, once, [2]) == pytest.approx(np.std(clean))
+
+
+def test_residuals_are_shares_of_the_motion_whatever_the_zero_and_the_noise(tmp_path):
+    """Give a residual of 2 % of the motion as 2 %, for an encoder of any zero and of a noise of a millionth."""
+    clean = swings(400, 14.0, noise=0.0, size=0.3)
+    for zero in (0.0, np.pi):
+        case = write(tmp_path / f"zero_{zero:.0f}", [clean + zero], HANGING)
+        recorded = recordings(case)
+        missed = (clean + zero + 0.02 * clean.std())[None, :, None]
+        where = locate(case, recorded, np.array([1e-6 * clean.std()]), missed)
+        np.testing.assert_allclose(where.of_motion, 0.02, rtol=1e-4)  # nine digits in the file
+        np.testing.assert_allclose(where.heat, 0.02e6, rtol=1e-3)  # not clipped
+        lost = np.where(np.arange(400)[:, None] < 200, missed[0], np.nan)[None]
+        assert np.nanmax(locate(case, recorded, np.array([1e-6]), lost).of_motion) == 10.0
