@@ -20,7 +20,7 @@ from ...sim.base.types import Array
 
 #: Between the cells of lines that had quotes or blanks.
 _UNIT = "\x1f"
-_SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", _UNIT: "blanks"}
+_STATED = ";,\t|"
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,6 @@ class Table:
     first_line: int
     separator: str
 
-    @property
-    def separated(self) -> str:
-        """What stands between cells, in words."""
-        return _SEPARATORS[self.separator]
-
     def cells(self, row: int) -> list[str]:
         """Return the cells of a row, counted from 0."""
         return [cell.strip() for cell in self.lines[row].split(self.separator)]
@@ -68,7 +63,8 @@ def read_table(path: Path, example: str) -> Table:
         InputError: The file cannot be read or is empty; there is no header.
     """
     lines = read_text(path).removeprefix("\ufeff").rstrip().splitlines()
-    stated = lines[0][4] if lines and len(lines[0]) == 5 and lines[0].startswith("sep=") else ""
+    first = lines[0] if lines else ""
+    stated = first[4:] if first.startswith("sep=") and first[4:] in tuple(_STATED) else ""
     at = 1 if stated else 0
     while at < len(lines) and (not lines[at].strip() or lines[at].lstrip().startswith("#")):
         at += 1
@@ -93,7 +89,10 @@ def _plain(line: str, separator: str) -> str:
     """Return a line with its cells, quoted or between blanks, between `_UNIT`."""
     if separator == _UNIT and '"' not in line:
         return _UNIT.join(line.split())
-    cells = next(csv.reader([line], delimiter=" " if separator == _UNIT else separator), [])
+    try:
+        cells = next(csv.reader([line], delimiter=" " if separator == _UNIT else separator), [])
+    except csv.Error:  # a cell without end
+        return line
     return _UNIT.join(cells)
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bough.learn.cases.case import BRANCH_COLUMNS, DERIVATIVE_NOISE, BranchCase, JointCase, derivative, load_case
+from bough.learn.cases.columns import read_columns
 from bough.learn.cases.noise import estimate_noise
 from bough.sim.base.errors import InputError
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from oracles.case_files import JOINT_COLUMNS, branch_meta, joint_meta, table, write_branch, write_joint
 
 
@@ -55,6 +59,26 @@ def test_every_dialect_gives_the_same_numbers(tmp_path: Path, way: str) -> None:
     wanted = np.array([[float(row[2]), float(row[3])] for row in rows[3:31]])
     np.testing.assert_array_equal(case.trajectories[0].effort[:, 0], wanted[:, 0] * 1e-3)
     np.testing.assert_array_equal(case.trajectories[0].output[:, 0], wanted[:, 1] * 0.0174532925)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    way=st.sampled_from(sorted(WAYS)), at=st.floats(0, 1), junk=st.text(alphabet='0;,\t" #.-e\n\x00é\x1f', max_size=4)
+)
+def test_damaged_text_never_escapes(way: str, at: float, junk: str) -> None:
+    """Whatever is put between two characters of a file, the outcome is columns or one `InputError` line."""
+    made = WAYS[way](table(JOINT_COLUMNS))
+    text = made.decode("utf-16" if "UTF-16" in way else "utf-8") if isinstance(made, bytes) else made
+    place = int(at * min(len(text), 400))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.csv"
+        path.write_text(text[:place] + junk + text[place:], "utf-8")
+        try:
+            values = read_columns(path, ("time_s", "angle_deg"), exact=False).values
+        except InputError as error:
+            assert "\n" not in str(error)
+        else:
+            assert np.isfinite(values).all() and values.shape[1] == 2
 
 
 def times(rows, change):
