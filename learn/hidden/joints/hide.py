@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from .laws import LAWS, OUTSIDE, Entry, Scale
-from .rig import Array, Law, Motion
+from .rig import Array, Law, Motion, move
 from .rigs import RUNS, Rig, draw_rig
 
 Random = np.random.Generator
@@ -20,6 +20,8 @@ Random = np.random.Generator
 SIZES = (0.05, 0.30)
 #: Strengths that are tried, and steps of the fit that says how visible a law is.
 TRIES, STEPS = 7, 3
+#: Change of a logarithm over which that fit takes its slopes.
+NUDGE = 0.02
 #: Rms change of a fitted model's output that an eye still sees, as a share of its rms.
 FAINT = 0.01
 #: Names that are the same in principle: friction is the limit of a loop that yields at once, a set with kinematic
@@ -178,23 +180,30 @@ def _left_of_torque(rig: Rig, motion: Motion, hidden: Sequence[Hidden]) -> float
 def _left_of_motion(rig: Rig, motion: Motion, effort: Array) -> float:
     """Fit springs, dampers and weights of a replay by Gauss and Newton, and return what is left of the motion."""
     names = ("stiffness", "damping") if rig.chain.stiffness.any() else ("mass", "damping")
-    count, unknown = rig.chain.count, np.zeros(len(names) * rig.chain.count)
-    best = np.inf
-    for _ in range(STEPS):
-        base = _replayed(rig, motion, effort, names, unknown)
-        residual = (motion.angle - base).ravel()
-        best = min(best, float(residual.std()))
-        if not np.isfinite(residual).all():
-            break
-        columns = []
-        for k in range(len(unknown)):
-            moved = unknown.copy()
-            moved[k] += 0.02
-            columns.append((_replayed(rig, motion, effort, names, moved) - base).ravel() / 0.02)
-        step = np.linalg.lstsq(np.array(columns).T, residual, rcond=None)[0]
-        unknown = unknown + np.clip(step, -0.5, 0.5)
-    assert len(unknown) == len(names) * count
+    best, unknown = np.inf, np.zeros(len(names) * rig.chain.count)
+    with np.errstate(all="ignore"):  # a step that goes too far is found out by its numbers
+        for _ in range(STEPS):
+            unknown, left = _improved(rig, motion, effort, names, unknown)
+            best = min(best, left)
+            if not np.isfinite(unknown).all():
+                break
     return best / float(motion.angle.std())
+
+
+def _improved(rig: Rig, motion: Motion, effort: Array, names: Sequence[str], unknown: Array) -> tuple[Array, float]:
+    """Return unknowns after a step of Gauss and Newton, and the rms residual before it [rad]."""
+    base = _replayed(rig, motion, effort, names, unknown)
+    residual = (motion.angle - base).ravel()
+    if not np.isfinite(residual).all():
+        return unknown * np.nan, np.inf
+    columns = []
+    for k in range(len(unknown)):
+        moved = unknown.copy()
+        moved[k] += NUDGE
+        columns.append((_replayed(rig, motion, effort, names, moved) - base).ravel() / NUDGE)
+    slopes = np.nan_to_num(np.array(columns).T)
+    step: Array = np.linalg.lstsq(slopes, residual, rcond=None)[0]
+    return unknown + np.clip(step, -0.5, 0.5), float(residual.std())
 
 
 def _replayed(rig: Rig, motion: Motion, effort: Array, names: Sequence[str], unknown: Array) -> Array:
@@ -210,8 +219,6 @@ def _replayed(rig: Rig, motion: Motion, effort: Array, names: Sequence[str], unk
         k = min(int(time / step), len(effort) - 2)
         share = min(time / step - k, 1.0)
         return (1.0 - share) * effort[k] + share * effort[k + 1]
-
-    from .rig import move
 
     out = move(chain, rig.start, np.zeros_like(rig.start), recorded, [], seconds=rig.seconds, step=step / rig.steps[0])
     return out.angle[:: rig.steps[0]]

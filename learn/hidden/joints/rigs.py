@@ -14,7 +14,7 @@ Random = np.random.Generator
 #: Sampling rates of real encoders and drives [Hz].
 RATES = (50.0, 100.0, 200.0, 500.0, 1000.0)
 #: Samples per recording of replays, and of torque fits, which keep one in ten.
-SAMPLES, TORQUES = 450, 1000
+SAMPLES, TORQUES = 400, 800
 #: Recordings.
 RUNS = 3
 #: Kinds of rigs: what moves, and how it is fitted where the case says so.
@@ -178,7 +178,7 @@ def _tracked(kind: str, rng: Random, rate: float, samples: int) -> Rig:
         chain = _single(float(np.exp(rng.uniform(np.log(1e-3), np.log(1.0)))), 0.0, 1.0)
         free: tuple[str, ...] = ()
     else:
-        chain = _links(rng, int(rng.choice([2, 2, 3])), 9.81)
+        chain = _links(rng, 2 if rng.random() < 0.75 else 3, 9.81)
         free = ("damping", "preload", "com", "inertia")
     inertia = chain.inertia(np.zeros((1, chain.count)))[0]
     chain = replace(chain, damping=rng.uniform(0.1, 0.5, chain.count) * inertia * 2 * np.pi * slow)
