@@ -370,8 +370,8 @@ def _joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) 
     columns = columns if meta.resample_hz is None else resampled(columns, meta.resample_hz)
     step = check_clock(columns)
     by_name = dict(zip(names, columns.values.T, strict=True))
-    for used in (*inputs, *meta.outputs):
-        _check_span(folder / item.file, used.column, by_name[used.column] * used.scale)
+    for column, scale in [(i.column, i.scale) for i in inputs] + [(o.column, o.scale) for o in meta.outputs]:
+        _check_span(folder / item.file, column, by_name[column] * scale)
     efforts = [by_name[i.column] * i.scale for i in inputs]
     trajectory = JointTrajectory(
         file=item.file,
