@@ -469,8 +469,8 @@ def _joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) 
     read = _read(folder, item, _clock(meta.time_column, meta.time_scale), names, meta.resample_hz, exact=False)
     step = check_clock(read)
     by_name = dict(zip(read.others, read.values.T, strict=True))
-    for used in (*inputs, *meta.outputs):
-        _check_span(folder / item.file, used.column, by_name[used.column] * used.scale)
+    for column, scale in [(i.column, i.scale) for i in inputs] + [(o.column, o.scale) for o in meta.outputs]:
+        _check_span(folder / item.file, column, by_name[column] * scale)
     efforts = [by_name[i.column] * i.scale for i in inputs]
     trajectory = JointTrajectory(
         file=item.file,
