@@ -315,7 +315,8 @@ class Powerline(VecEnv):
 
     def watch(self) -> Overlaps:
         """Return what counts how arm, branches, line and ground pass through each other, from the present state on."""
-        return Overlaps(self.simulator, wp.from_torch(self.scene.root, dtype=wp.vec3))
+        foot: Any = wp.from_torch(self.scene.root, dtype=wp.vec3)
+        return Overlaps(self.simulator, foot)
 
     def scenes(self) -> dict[str, float]:
         """Return what the present scenes are like: branches at the target, and shares of them [%] by rule.

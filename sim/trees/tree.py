@@ -153,11 +153,11 @@ class Tree:
                 raise InputError(src, place, f"{name} {value[i]}", f"finite numbers up to {LARGEST:g}")
         return self
 
-    def _checks(self) -> Iterator[tuple[NDArray[np.bool_], str, str, Array | IntArray]]:
+    def _checks(self) -> Iterator[tuple[NDArray[np.bool_], str, str, NDArray[Any]]]:
         """Yield what must hold of every link: whether it does [L], what is found where not, what is allowed, values."""
         n = self.num_links
-        before = (self.parent >= -1) & (self.parent < np.arange(n))
-        yield before, "parent index", "-1 (world) or a link before it", self.parent
+        before = np.logical_and(self.parent >= -1, self.parent < np.arange(n))
+        yield np.asarray(before), "parent index", "-1 (world) or a link before it", self.parent
         for item in fields(self):
             value = getattr(self, item.name)
             if isinstance(value, np.ndarray) and value.dtype == np.float64 and not item.name.startswith("shape_"):
@@ -174,7 +174,7 @@ class Tree:
         yield np.abs(length - 1) < 1e-6, "a quaternion of length", "unit length", length
         scalar = np.isin(self.joint, [Joint.REVOLUTE, Joint.PRISMATIC])
         unit = np.abs(np.linalg.norm(self.axis, axis=1) - 1) < 1e-6
-        yield ~scalar | unit, "axis", "a unit vector", self.axis
+        yield np.where(scalar, unit, True), "axis", "a unit vector", self.axis
 
     def with_(self, **changes: Any) -> Tree:
         """Return a copy with some fields exchanged."""

@@ -201,10 +201,10 @@ def _table_5_3(found: Findings) -> ReportTable:
         f"Wall time of the four embeddings of every world, once, on {_device(found)}; the kernels are "
         f"{learnt[0] / mean[0]:.3g} and {learnt[1] / mean[1]:.3g} times as fast as the encoder at {many} worlds and at "
         f"{one}. Train Time and Train Rew of the kernels are those of row (f), first seed: {scale(found)}. The thesis "
-        "trains 250 epochs with 1024 worlds on an RTX 4090. PointNet++ is plain torch with random weights and without farthest point sampling, a lower "
-        f"bound; {timed[many]} clouds are timed and the rest follows in proportion; its training time is computed from "
-        "row (f)'s and the difference of the embeddings, not run, so there is no reward. Point2Vec is not on PyPI: its "
-        "row is the thesis's alone."
+        "trains 250 epochs with 1024 worlds on an RTX 4090. PointNet++ is plain torch with random weights and without "
+        f"farthest point sampling, a lower bound; {timed[many]} clouds are timed and the rest follows in proportion; "
+        "its training time is computed from row (f)'s and the difference of the embeddings, not run, so there is no "
+        "reward. Point2Vec is not on PyPI: its row is the thesis's alone."
     )
     header = ("embedding", "GF(1024) [s]", "GF(1) [s]", "Train Time [min]", "Train Rew", "worlds")
     return ReportTable("Table 5.3: time of the embeddings (timing only)", header, rows, note)
@@ -220,10 +220,8 @@ def _device(found: Findings) -> str:
 
 def content(found: Findings) -> ReportContent:
     """Return what the page says."""
-    cleared, beside = (
-        _over_seeds(found.mean(FINAL.run, SUCCESS)),
-        ", ".join(f"{n} {found.rows[FINAL.run][n].mean(SUCCESS):.1f} %" for n in BASELINES),
-    )
+    cleared = _over_seeds(found.mean(FINAL.run, SUCCESS))
+    beside = ", ".join(f"{n} {found.rows[FINAL.run][n].mean(SUCCESS):.1f} %" for n in BASELINES)
     thesis = FINAL.thesis[SUCCESS][0]
     return ReportContent(
         title="Chapter 5 again, in simulation",
