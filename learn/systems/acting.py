@@ -263,8 +263,8 @@ def _rest(joint: JointAxis, positions: Sequence[Array]) -> float:
     """Return where a joint rests: its spring's zero, else where gravity pulls it, else the mean of its positions."""
     if not isinstance(joint, JointSpec) or joint.stiffness != 0.0:
         return 0.0
-    gravity = joint.gravity_torque
-    return float(np.concatenate(positions).mean()) if gravity is None else gravity.zero_angle
+    zero = None if joint.gravity_torque is None else joint.gravity_torque.zero_angle  # None too where it is not known
+    return float(np.concatenate(positions).mean()) if zero is None else zero
 
 
 def integral(x: Array, dt: float) -> Array:
