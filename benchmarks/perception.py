@@ -35,13 +35,12 @@ import torch
 import warp as wp
 from bough.learn.thesis.chapter5.pointnet import PointNet, layers, neighbours
 from bough.perception import embed
-from bough.perception.sensor import COLUMNS, Sensor
+from bough.perception.sensor import COLUMNS, STAGES, Sensor
 from bough.sim.base.console import start_warp
 from bough.sim.base.thread_pool import Job, Launches, run
 from measuring import Figure, in_turn
 from oracles.point_scene import point_scene
 
-STAGES = ("sampling", "embedding", "occlusion", "nearest", "margin", "scores")
 REPEATS = 8  # of a launch, timed together
 LEARNT_CLOUDS = 16  # worlds that the slow PointNet++ encoder is timed on
 
@@ -100,8 +99,8 @@ def differences(
 ) -> dict[str, float]:
     """Return the greatest difference of each result from torch's."""
     first = COLUMNS["wbr"]
-    ours = {"embedding": observation[:, first : first + 64], "occlusion": sensor.occlusion,
-            "nearest": sensor.distances, "margin": sensor.breach}  # fmt: skip
+    ours = {"embedding": observation[:, first : first + 64], "occlusion": observation[:, COLUMNS["occlusion"]],
+            "nearest": sensor.distances, "margin": observation[:, COLUMNS["breach"]]}  # fmt: skip
     return {name: float((ours[name] - row()).abs().max()) for name, row in rows.items()}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from ..sim.base.console import bar, shown
 from .exit_codes import ExitCode
@@ -22,9 +23,10 @@ class Hide:
         joint: Joint that they act at, 0 nearest the base; drawn for each if not given.
         segments: Segments of the branch.
         noise: Noise of displacement and velocity as a share of their rms; the force has half of it.
-        rate: Sampling rate [Hz]; drawn from 20, 25 and 40 if not given.
-        samples: Samples per recording.
+        rate: Sampling rate [Hz]; drawn if not given: 20, 25 or 40, with hard probes 50 to 500.
+        samples: Samples per recording; 110 if not given, with hard probes 3 to 5 s of them.
         size: Change of displacement that each effect causes, over its rms; drawn from 0.05 to 0.3 if not given.
+        hard: In what the case is harder than a model of one: shape, geometry, probes, noise, sensors, forms.
         seed: Seed of everything random.
     """
 
@@ -35,8 +37,9 @@ class Hide:
     segments: int = 3
     noise: float = 0.03
     rate: float | None = None
-    samples: int = 110
+    samples: int | None = None
     size: float | None = None
+    hard: tuple[Literal["shape", "geometry", "probes", "noise", "sensors", "forms"], ...] = ()
     seed: int = 0
 
     def run(self) -> int:
@@ -46,7 +49,8 @@ class Hide:
         with bar("hiding", None):
             answer = hide(
                 self.out, effects=self.effects, outside=self.outside, joint=self.joint, segments=self.segments,
-                noise=self.noise, rate=self.rate, samples=self.samples, size=self.size, seed=self.seed,
+                noise=self.noise, rate=self.rate, samples=self.samples, size=self.size, hard=self.hard,
+                seed=self.seed,
             )  # fmt: skip
         names = ", ".join(effect["name"] for effect in answer["effects"]) or "nothing"
         seen = f", {answer['visible_gap']:.1%} of the motion," if answer["effects"] else ""

@@ -19,6 +19,7 @@ from ..version import __version__
 from .diagnose import Diagnose, Exam
 from .evaluate import Evaluate
 from .exit_codes import ExitCode
+from .export import Export
 from .forest import Forest
 from .hide import Hide
 from .identify import Identify
@@ -44,6 +45,7 @@ Command = (
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Play, tyro.conf.subcommand("play")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
 )
 

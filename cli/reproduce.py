@@ -70,9 +70,10 @@ class Chapter5:
             0.04. Runs that table 5.2 has as well, at 0.005 and 0.02, are shared.
         sets: Test sets of table 5.2; figure 5.4 takes the first.
         worlds: Worlds per test set.
-        seed: Seed of everything random.
+        seeds: Trainings of every policy, of one seed after another; below three nothing is said to help.
+        seed: First seed of everything random.
         device: cpu, cuda or cuda:N; a GPU if there is one.
-        resume: Go on with runs that were killed or are to be longer, and keep those that are done.
+        resume: Go on with runs that were killed or are to be longer, keep those that are done, and add seeds.
     """
 
     out: Path
@@ -82,6 +83,7 @@ class Chapter5:
     noise_levels: tuple[float, ...] = (0.005, 0.02, 0.04)
     sets: int = 3
     worlds: int = 512
+    seeds: int = 3
     seed: int = 0
     device: str | None = None
     resume: bool = False
@@ -99,7 +101,7 @@ class Chapter5:
         device = Processes().device(self.device)
         options = Options(
             self.preset or preset_of(device), device, self.num_envs, self.iterations, self.noise_levels, self.sets,
-            self.worlds, self.seed,
+            self.worlds, self.seeds, self.seed,
         )  # fmt: skip
         options.check()
         try:

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..kernels.points.cloud import NUM_CLOUDS, Shapes, sample_kernel
+from ..kernels.points.cloud import NUM_CLOUDS, Shapes, blur_kernel, sample_kernel
 from ..kernels.points.embedding import embed_clouds_kernel
 from ..kernels.points.nearest import Few, finish_kernel, margin_kernel, nearest_kernel, occlusion_kernel
 from ..sim.base.errors import InputError
@@ -26,6 +26,10 @@ from .frequencies import draw_frequencies
 COLUMNS: Mapping[str, int] = {
     "wbr": 16, "zbr": 32, "clr": 48, "rob": 64, "distances": 81, "breach": 86, "occlusion": 87,
 }  # fmt: skip
+STAGES = (
+    "sampling", "true occlusion", "true margin", "noise", "embedding", "occlusion", "nearest", "margin", "scores",
+)  # fmt: skip
+"""Launches of an update, in their order (`Sensor.plan`)."""
 _EMBEDDED = ("rob", "clr", "wbr", "zbr")
 _LOCAL = ("distances", "breach", "occlusion")
 _BEYOND = 1.001  # the mean of five distances is not below the margin if the fifth is five margins, rounding included
@@ -92,13 +96,19 @@ class SensorSettings:
 class Sensor:
     """Draws clouds for all worlds, embeds them, and scores occlusion and nearness, straight into the observation.
 
+    What goes into the observation is seen through the points' noise; rewards take `occlusion` and `breach`, which are
+    scored on the same points before the noise is on them.
+
     All memory is allocated here; `update` launches kernels and nothing else, on a GPU in the current stream. Numbers
     depend on (seed, world, tick) and the scene alone.
 
     Attributes:
-        occlusion: Share of the ``pairs`` closest branch-target pairs closer than ``threshold``, torch view [worlds].
-        breach: 1 where robot and target are closer than the margin, else 0, float32 torch view [worlds].
-        distances: The 5 least distances from end-effector to branch points, ascending [m], torch view [worlds, 5].
+        occlusion: Share of the ``pairs`` closest branch-target pairs closer than ``threshold``, of points without
+            noise, torch view [worlds].
+        breach: 1 where robot and target are closer than the margin, else 0, of points without noise, float32 torch view
+            [worlds].
+        distances: The 5 least distances from end-effector to branch points as they are seen, ascending [m], torch view
+            [worlds, 5].
         max_noise: d_max, three deviations of the noise on every coordinate [m], torch view [worlds], to be written.
         tick: Number of the next draw of each world, int32 torch view [worlds]; write it to go on from a snapshot.
         frequencies: w_r [rad/m], float32 torch tensor [R, 3] on the sensor's device.
@@ -166,6 +176,7 @@ class Sensor:
         self._occlusion, self._breach, self._max_noise = (zeros(wp.float32) for _ in range(3))
         self._distances, self._tick = zeros(wp.float32, 5), zeros(int)
         self._count, self._point, self._pair = zeros(int, team), zeros(Few, team), zeros(Few, team)
+        self._true_count, self._true_pair = zeros(int, team), zeros(Few, team)
         frequencies = draw_frequencies(s.features, s.bandwidth, s.frequency_seed)
         self._waves: Any = wp.array(frequencies.astype(float) / (2 * np.pi), dtype=wp.vec3, device=self.device)
         self.frequencies = torch.tensor(frequencies, device=wp.device_to_torch(self.device))
@@ -235,8 +246,8 @@ class Sensor:
         """Return the recorded launches of an update, after `bind`: for each thread, for each block of its worlds.
 
         A thread takes all its blocks through the same memory, which stays in its cache; on a GPU all worlds are one
-        block. The launches of a block sample, embed, count occluding pairs, find the nearest points and the closest
-        pairs, and write the scores.
+        block. The launches of a block are `STAGES`: they sample, count occluding pairs and find the closest ones, put
+        noise on the points, embed, count and find the closest again, and write the scores.
 
         Args:
             split: Whether all CPU threads take part; else one takes all worlds.
@@ -246,48 +257,73 @@ class Sensor:
         return [[self._commands(i, min(block, b - i), block * thread) for i in range(a, b, block)]
                 for thread, (a, b) in enumerate(pairwise(cuts))]  # fmt: skip
 
-    def clouds(self) -> tuple[torch.Tensor, torch.Tensor]:
+    def clouds(self, *, noise: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
         """Draw the clouds of the last `update` again, for all worlds, into memory of their own.
 
         An update keeps no more clouds than it is working on. Points are a function of (seed, world, tick) and the
         scene, which is read as it is now.
 
+        Args:
+            noise: Whether points are as the policy sees them, or as rewards are scored.
+
         Returns:
             Points [worlds, 3, 3, points] of robot, target and branches [m], coordinates before points, neighbours in
             memory being neighbours in space; and 1 for branch points of the zoomed cloud, else 0 [worlds, points].
         """
-        memory = self._memory(self.num_worlds)
-        self._sample(0, self.num_worlds, 0, memory, wp.from_torch(self.tick - 1)).launch()
+        memory, n = self._memory(self.num_worlds), self.num_worlds
+        tick, reach = wp.from_torch(self.tick - 1), self._max_noise if noise else wp.zeros_like(self._max_noise)
+        self._sample(0, n, 0, memory, tick).launch()
+        self._blur(0, n, 0, memory, tick, reach).launch()
         return memory.points, memory.near
+
+    def _by_cloud(self, count: int) -> tuple[int, int]:
+        return (count, NUM_CLOUDS) if self.width > 1 else (NUM_CLOUDS, count)
 
     def _sample(self, first: int, count: int, row: int, clouds: CloudMemory, tick: Any) -> Any:
         """Return the launch that draws the clouds of ``count`` worlds from ``first`` into rows from ``row``."""
-        s, w = self.settings, self.width
-        inputs = [self._capsules, self._num_arm, self._target, float(s.rounded), s.zoom, self._seed, tick,
-                  self._max_noise, first, row, clouds.kernel]  # fmt: skip
-        dim = (count, NUM_CLOUDS) if w > 1 else (NUM_CLOUDS, count)
-        return recorded(sample_kernel(w), dim, inputs, self.device)
+        cap = float(self.settings.rounded)
+        inputs = [self._capsules, self._num_arm, self._target, cap, self._seed, tick, first, row, clouds.kernel]
+        return recorded(sample_kernel(self.width), self._by_cloud(count), inputs, self.device)
+
+    def _blur(self, first: int, count: int, row: int, clouds: CloudMemory, tick: Any, reach: Any) -> Any:
+        """Return the launch that puts noise up to ``reach`` on those clouds."""
+        inputs = [self._target, self.settings.zoom, self._seed, tick, reach, first, row, clouds.kernel]
+        return recorded(blur_kernel(self.width), self._by_cloud(count), inputs, self.device)
+
+    def _scored(self, first: int, count: int, row: int, found: Any, pair: Any) -> list[Any]:
+        """Return the launches that count occluding pairs and find those closest to the robot, on clouds as they are."""
+        s, w, team = self.settings, self.width, self._count.shape[1]
+        near, limit = s.margin**2 * _BEYOND, (5 * s.margin) ** 2 * _BEYOND
+        clouds, dim = self._clouds.kernel, (team, count)
+        occluding = [clouds, _squared(s.threshold), s.pairs, first, row, found]
+        closest = [clouds, near, limit, first, row, pair]
+        return [
+            recorded(occlusion_kernel(w), dim, occluding, self.device),
+            recorded(margin_kernel(w), dim, closest, self.device),
+        ]
 
     def _commands(self, first: int, count: int, row: int) -> list[Any]:
-        """Return the recorded launches for ``count`` worlds from ``first``, whose clouds go to rows from ``row``."""
+        """Return the launches (`STAGES`) for ``count`` worlds from ``first``, whose clouds go to rows from ``row``."""
         s, w, team = self.settings, self.width, self._count.shape[1]
         embedded, local = self._columns
         waves = s.features if self._worlds_inside else 1
         by_wave = (count, NUM_CLOUDS, waves) if w > 1 else (waves, NUM_CLOUDS, count)
-        near, limit = s.margin**2 * _BEYOND, (5 * s.margin) ** 2 * _BEYOND
-        clouds = self._clouds.kernel
-        plan: list[tuple[Any, tuple[int, ...], list[Any]]] = [
-            (embed_clouds_kernel(w), by_wave,
-             [clouds, self._waves, embedded, first, row, waves, self._observation]),
-            (occlusion_kernel(w), (team, count),
-             [clouds, _squared(s.threshold), s.pairs, first, row, self._count]),
-            (nearest_kernel(w), (team, count), [clouds, self._ee, s.farthest**2, first, row, self._point]),
-            (margin_kernel(w), (team, count), [clouds, near, limit, first, row, self._pair]),
-            (finish_kernel, (count,), [self._count, self._point, self._pair, s.pairs, s.margin, local, first,
-                                       self._tick, self._occlusion, self._distances, self._breach, self._observation]),
-        ]  # fmt: skip
-        launches = [recorded(k, d, i, self.device) for k, d, i in plan]
-        return [self._sample(first, count, row, self._clouds, self._tick), *launches]
+        clouds, place = self._clouds.kernel, (first, row)
+        embed = [clouds, self._waves, embedded, *place, waves, self._observation]
+        nearest = [clouds, self._ee, s.farthest**2, *place, self._point]
+        finish = [self._true_count, self._true_pair, self._count, self._point, self._pair, s.pairs, s.margin, local,
+                  first, self._tick, self._occlusion, self._distances, self._breach, self._observation]  # fmt: skip
+        occlusion, margin = self._scored(first, count, row, self._count, self._pair)
+        return [
+            self._sample(first, count, row, self._clouds, self._tick),
+            *self._scored(first, count, row, self._true_count, self._true_pair),
+            self._blur(first, count, row, self._clouds, self._tick, self._max_noise),
+            recorded(embed_clouds_kernel(w), by_wave, embed, self.device),
+            occlusion,
+            recorded(nearest_kernel(w), (team, count), nearest, self.device),
+            margin,
+            recorded(finish_kernel, (count,), finish, self.device),
+        ]
 
 
 def _squared(distance: float) -> float:

@@ -15,7 +15,9 @@ _GPU = "compiles a large kernel for a GPU; make test keeps the plain step and th
 
 LONG = {
     "cli/test_diagnose_story.py::test_exam_is_marked_and_goes_on": "an exam of two cases; its parts are tested apart",
+    "cli/test_diagnose_story.py::test_exam_on_joints_is_marked": "an exam of two cases; its parts are tested apart",
     "cli/test_diagnose_story.py::test_a_killed_diagnosis_reaches_the_same_verdict": _SEARCH,
+    "cli/test_hide_story.py::test_hard_exam_is_held": "an exam of two cases; its parts are tested apart",
     "cli/test_identify_story.py::test_options_run[options1]": "a posterior with other options; make test keeps one",
     "cli/test_identify_story.py::test_options_run[options2]": "a posterior with other options; make test keeps one",
     "cli/test_identify_story.py::test_options_run[options3]": "a posterior with other options; make test keeps one",
@@ -41,6 +43,7 @@ LONG = {
     "learn/gap/test_gap_joints.py::test_a_magnet_under_a_pendulum_is_not_nothing": _SEARCH,
     "learn/gap/test_gap_joints.py::test_an_oscillator_whose_rate_alone_is_measured_stiffens": _SEARCH,
     "learn/gap/test_gap_joints.py::test_wind_that_sways_a_tree_before_the_pull_is_noise": _SEARCH,
+    "learn/gap/test_gap_nested.py::test_no_model_is_worse_than_one_nested_in_it_in_hundreds": "300 generated cases (minutes)",
     "learn/gap/test_gap_real.py::test_silverbox_stiffens": _REAL,
     "learn/gap/test_gap_real.py::test_trees_yield_or_have_hysteresis[5]": _REAL,
     "learn/gap/test_gap_real.py::test_trees_yield_or_have_hysteresis[6]": _REAL,
@@ -50,6 +53,7 @@ LONG = {
     "learn/gap/test_gap_real.py::test_trees_yield_or_have_hysteresis[25]": _REAL,
     "learn/gap/test_gap_real.py::test_trees_yield_or_have_hysteresis[29]": _REAL,
     "learn/gap/test_gap_real.py::test_trees_yield_or_have_hysteresis[30]": _REAL,
+    "learn/hidden/test_forms.py::test_every_form_is_visible": "57 cases; make test keeps every effect's plain form",
     "learn/inference/test_identify.py::test_same_seed_same_bits": "three posteriors; samplers' seeds are kept",
     "learn/priors/test_prior_learnt.py::test_weights_do_not_depend_on_the_number_of_threads": "learns a prior twice",
     "learn/samplers/test_diagnostics.py::test_long_chains_converge_and_short_ones_do_not[sgld]": _CHAINS,

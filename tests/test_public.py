@@ -49,3 +49,19 @@ def test_page_lists_exactly_the_public_names():
     """List each public name on the API page, and no other."""
     listed = re.findall(r"^::: bough\.(\S+)$", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE)
     assert sorted(listed) == NAMES
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"), [("", "", False), ("", "wp.config.log_level = wp.LOG_INFO", True),
+                                  ("wp.config.log_level = wp.LOG_DEBUG", "", True)],
+)  # fmt: skip
+def test_a_library_adds_no_lines_to_its_users(tmp_path, before, after, said):
+    """Step a tree in a script: what it prints is its own, unless it asks Warp to talk."""
+    script = f"import warp as wp\n{before}\nimport bough\nmodel = bough.Model\n{after}\n"
+    script += "simulator = bough.Simulator(model(bough.grow_forest('Ta', count=1, order=0, seed=0)))\n"
+    script += "simulator.step()\nprint('mine')\n"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=True)
+    lines = done.stdout.splitlines()
+    assert "mine" in lines
+    assert (lines != ["mine"]) == said
+    assert "Module" not in done.stderr

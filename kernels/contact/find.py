@@ -193,12 +193,13 @@ def find_crossings(
     for n in range(shapes.pairs[e]):
         c = shapes.pair[e, n, 0]
         b = shapes.pair[e, n, 1]
+        lanes = shapes.pair[e, n, 2]
         d = touch.centre[row, c] - touch.centre[row, b]
         far = touch.reach[row, c] + touch.reach[row, b]
         verdict = dot(d, d) - far * far
         if any_neg(verdict):
             for lane_ in range(width):
-                if lane_neg(verdict, lane_):
+                if lane_neg(verdict, lane_) and ((lanes >> lane_) & 1) == 1:
                     one = piece_of(e, row, width, lane_, c, slot_world, shapes, s, touch.centre[row, c],
                                    touch.reach[row, c])  # fmt: skip
                     two = piece_of(e, row, width, lane_, b, slot_world, shapes, s, touch.centre[row, b],

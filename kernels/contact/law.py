@@ -142,8 +142,8 @@ def contact_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
     """Return the structs of `layout.layout_of` with ``Shapes`` (branches' capsules), ``Touch`` and ``Space`` (scratch).
 
     Capsules are [groups, capsules] in the frames of their links; an absent one lies far away. ``slot_capsule`` [slots,
-    capsules] is a capsule's number in its world, -1 where it has none. ``pair`` [groups, pairs, 2] are the capsules of
-    branches that may touch each other, ``pairs`` their number.
+    capsules] is a capsule's number in its world, -1 where it has none. ``pair`` [groups, pairs, 3] are the capsules of
+    branches that may touch each other, with a bit for each lane in which they may, ``pairs`` their number.
     """
     t = layout_of(width, precision)
     Real, Vec = t.Real, t.Vec

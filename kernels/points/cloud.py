@@ -1,5 +1,8 @@
 """Points on capsules and cylinders, as a camera would see them: three clouds a world, drawn anew at every tick.
 
+They are drawn where the surfaces are (`sample_kernel`), which is what rewards are scored on, and then moved by the
+noise of a camera (`blur_kernel`), which is what a policy sees.
+
 A capsule of radius r whose axis has length L has the area 2 pi r (L + 2 r), and equal lengths of its whole extent from
 -r to L + r carry equal areas (Archimedes' hat-box theorem holds for the caps). So one number in (0, area of all
 capsules) picks a capsule, in proportion to its area, and the place along its axis together; a second one
@@ -35,7 +38,7 @@ from ..lanes.across import (
 )
 from ..lanes.real import SOURCE, add, div, fma, fnma, lane, mul, real, real_type, sqrt_, sub, where_neg
 
-__all__ = ["BRANCHES", "NOWHERE", "NUM_CLOUDS", "ROBOT", "TARGET", "cloud_types", "sample_kernel"]
+__all__ = ["BRANCHES", "NOWHERE", "NUM_CLOUDS", "ROBOT", "TARGET", "blur_kernel", "cloud_types", "sample_kernel"]
 
 ROBOT = wp.constant(0)
 TARGET = wp.constant(1)
@@ -302,18 +305,17 @@ def mark_near(w: int, s: Shapes, zoom: float, row: int, k: int, c: Any):
 
 @cache
 def sample_kernel(width: int = 1) -> Any:
-    """Return the kernel that draws all clouds, thread (world, cloud): robot and branch capsules, and the target.
+    """Return the kernel that draws all clouds without noise, thread (world, cloud): robot, target and branches.
 
-    ``max_noise_in`` [worlds] is three deviations of the noise [m], ``tick_in`` [worlds] counts the draws.
+    ``tick_in`` [worlds] counts the draws.
     """
     t = cloud_types(width)
     Clouds, W = t.Clouds, width
 
     @wp.kernel(enable_backward=False, module="unique")
     def sample(
-        capsules_in: Shapes, num_arm: int, target_in: Shapes, cap: float, zoom: float, seed: int,
-        tick_in: wp.array(dtype=int), max_noise_in: wp.array(dtype=wp.float32), first: int, first_row: int,
-        c_out: Clouds,
+        capsules_in: Shapes, num_arm: int, target_in: Shapes, cap: float, seed: int, tick_in: wp.array(dtype=int),
+        first: int, first_row: int, c_out: Clouds,
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         i = wp.int32(0)
@@ -334,11 +336,40 @@ def sample_kernel(width: int = 1) -> Any:
             end = shapes.radius.shape[1]
             ends = cap
         spread_points(w, shapes, begin, end, ends, row, k, key, W, c_out)
-        if max_noise_in[w] > 0.0:
-            add_noise(row, k, max_noise_in[w] / 3.0, key, W, c_out)
-        if k == BRANCHES:
-            mark_near(w, target_in, zoom, row, k, c_out)
         if wp.static(W > 1):
             bound_chunks(row, k, W, c_out)
 
     return sample
+
+
+@cache
+def blur_kernel(width: int = 1) -> Any:
+    """Return the kernel that moves drawn points by noise and marks branch points near the target, thread as there.
+
+    ``max_noise_in`` [worlds] is three deviations of the noise [m]; 0 leaves the clouds as they are, to the bit.
+    """
+    t = cloud_types(width)
+    Clouds, W = t.Clouds, width
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def blur(
+        target_in: Shapes, zoom: float, seed: int, tick_in: wp.array(dtype=int),
+        max_noise_in: wp.array(dtype=wp.float32), first: int, first_row: int, c_out: Clouds,
+    ):  # fmt: skip
+        tag = SOURCE  # noqa: F841
+        i = wp.int32(0)
+        k = wp.int32(0)
+        if wp.static(W > 1):
+            i, k = wp.tid()
+        else:
+            k, i = wp.tid()
+        w = first + i
+        row = first_row + i
+        if max_noise_in[w] > 0.0:
+            add_noise(row, k, max_noise_in[w] / 3.0, key_of(seed, w, tick_in[w]), W, c_out)
+            if wp.static(W > 1):
+                bound_chunks(row, k, W, c_out)
+        if k == BRANCHES:
+            mark_near(w, target_in, zoom, row, k, c_out)
+
+    return blur

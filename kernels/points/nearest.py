@@ -347,38 +347,48 @@ def margin_kernel(width: int = 1) -> Any:
     return margin
 
 
+@wp.func
+def margin_breach(pair: Few, margin: float):
+    """1 where the mean of five distances, given as squares, is below the margin, else 0."""
+    total = wp.float32(0.0)
+    for i in range(5):
+        total = total + wp.sqrt(pair[i])
+    return wp.where(total < 5.0 * margin, 1.0, 0.0)
+
+
 @wp.kernel(enable_backward=False, module="unique")
 def finish_kernel(
-    count_in: wp.array2d(dtype=int), point_in: wp.array2d(dtype=Few), pair_in: wp.array2d(dtype=Few), most: int,
-    margin: float, column: wp.array(dtype=int), first: int, tick_out: wp.array(dtype=int),
-    occlusion_out: wp.array(dtype=wp.float32), distances_out: wp.array2d(dtype=wp.float32),
-    breach_out: wp.array(dtype=wp.float32), observation_out: wp.array2d(dtype=wp.float32),
+    true_count_in: wp.array2d(dtype=int), true_pair_in: wp.array2d(dtype=Few), count_in: wp.array2d(dtype=int),
+    point_in: wp.array2d(dtype=Few), pair_in: wp.array2d(dtype=Few), most: int, margin: float,
+    column: wp.array(dtype=int), first: int, tick_out: wp.array(dtype=int), occlusion_out: wp.array(dtype=wp.float32),
+    distances_out: wp.array2d(dtype=wp.float32), breach_out: wp.array(dtype=wp.float32),
+    observation_out: wp.array2d(dtype=wp.float32),
 ):  # fmt: skip
-    """Join what the threads of a world found, write scores and the observation's columns, count the tick."""
+    """Join what the threads of a world found, write true scores and the observation's columns, count the tick."""
     tag = SOURCE  # noqa: F841
     w = first + wp.tid()
+    true_count = wp.int32(0)
     count = wp.int32(0)
+    true_pair = true_pair_in[w, 0]
     point = point_in[w, 0]
     pair = pair_in[w, 0]
     for t in range(count_in.shape[1]):
+        true_count = true_count + true_count_in[w, t]
         count = count + count_in[w, t]
         if t > 0:
             for i in range(5):
+                true_pair = keep_least(true_pair, true_pair_in[w, t][i])
                 point = keep_least(point, point_in[w, t][i])
                 pair = keep_least(pair, pair_in[w, t][i])
-    score = float(wp.min(count, most)) / float(most)
-    total = wp.float32(0.0)
     for i in range(5):
         distance = wp.sqrt(point[i])
         distances_out[w, i] = distance
         if column[0] >= 0:
             observation_out[w, column[0] + i] = distance
-        total = total + wp.sqrt(pair[i])
-    breach = wp.where(total < 5.0 * margin, 1.0, 0.0)
-    occlusion_out[w] = score
-    breach_out[w] = breach
+    occlusion_out[w] = float(wp.min(true_count, most)) / float(most)
+    breach_out[w] = margin_breach(true_pair, margin)
     if column[1] >= 0:
-        observation_out[w, column[1]] = breach
+        observation_out[w, column[1]] = margin_breach(pair, margin)
     if column[2] >= 0:
-        observation_out[w, column[2]] = score
+        observation_out[w, column[2]] = float(wp.min(count, most)) / float(most)
     tick_out[w] = tick_out[w] + 1

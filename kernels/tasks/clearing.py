@@ -4,7 +4,8 @@ A policy step judges the state that the action was chosen in, then acts:
 
     r = (1 / (1 + h^2))^2 - sum_j qd_j^2 / 100 + 0.4 [no breach]                                    (5.9)
 
-with the occlusion h, the joint speeds qd and the safety breach that the policy was shown before noise and delay.
+with the occlusion h and the safety breach of points without noise, whatever the policy was shown, and the joint speeds
+qd. The action becomes the servos' target over the step's control periods, in equal slices (thesis 4.4).
 """
 
 import warp as wp
@@ -120,18 +121,25 @@ def judge(
 def act(
     action_in: wp.array2d(dtype=wp.float32),
     speed_limit_in: wp.array(dtype=wp.float32),
+    share: float,
     counters_in: Counters,
     waiting_out: wp.array3d(dtype=wp.float32),
     target_out: wp.array2d(dtype=wp.float32),
 ):
-    """Target speed <- limit x the action, clipped to [-1, 1], of as many steps ago as the world's latency says."""
+    """Target speed <- limit x a share of the way from the last action to this one, for one control period.
+
+    This one is the action, clipped to [-1, 1], of as many steps ago as the world's latency says, and the last one that
+    of a step before. A share of 1 is the action to the bit.
+    """
     world = wp.tid()
     slots = waiting_out.shape[0]
     clock = counters_in.clock[world]
     late = (clock + slots - counters_in.action_delay[world]) % slots
+    before = (late + slots - 1) % slots
     for j in range(target_out.shape[1]):
         waiting_out[clock % slots, world, j] = wp.clamp(action_in[world, j], -1.0, 1.0)
-        target_out[world, j] = speed_limit_in[j] * waiting_out[late, world, j]
+        asked = (1.0 - share) * waiting_out[before, world, j] + share * waiting_out[late, world, j]
+        target_out[world, j] = speed_limit_in[j] * asked
 
 
 @wp.kernel(enable_backward=False)

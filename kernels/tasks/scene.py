@@ -6,7 +6,9 @@ reaches ``depth`` into the region around the target where a point counts as occl
 first proposal that breaks no rule is taken, else the one that breaks them least:
 
 - branches occlude: expected pairs of points within d_th, N_b N_c sum_s (A_s / A) P(|x_s - y| < d_th), within the bounds
-  asked for; no branch nearer to the target's axis than ``depth`` allows; wood too firm to be pushed not at all;
+  asked for, by a least number of branches;
+- one arm can clear the target, where that is asked for: no branch nearer to the target's axis than ``depth`` allows,
+  wood too firm to be pushed not at all, not more than so many pairs;
 - the target's nearest part lies within reach; the arm's home pose is free of the branches and of the target.
 """
 
@@ -62,6 +64,8 @@ class SceneRules:
     gap: float
     target_gap: float
     pairs: wp.vec2
+    branches: float
+    feasible: int
     points: float
     strips: int
     width: float
@@ -188,28 +192,48 @@ def outside(value: float, bounds: wp.vec2) -> float:
 
 
 @wp.func
-def branch_breach(a: SceneArrays, r: SceneRules, tree: int, place: Place) -> float:
-    """How far the branches break the rules of occlusion [m]; pairs too few or too many count as up to d_th."""
-    breach = wp.float32(0.0)
+def crowd_of(a: SceneArrays, r: SceneRules, tree: int, place: Place) -> wp.vec4:
+    """What is at the target of a place.
+
+    How far firm wood reaches into the region where points occlude, and other branches deeper than ``depth`` allows [m],
+    both summed; pairs of points expected within d_th; branches (capsules) that reach into the region.
+    """
+    firm = wp.float32(0.0)
+    deep = wp.float32(0.0)
+    number = wp.float32(0.0)
     pairs = wp.float32(0.0)
     area = wp.float32(0.0)
     for s in range(a.count[tree]):
         radius = a.radius[tree, s]
         p = planted(a.start[tree, s], place)
         q = planted(a.end[tree, s], place)
-        gap = target_gap(p, q, r, place)
         size = radius * wp.length(q - p)
         area = area + size
-        reaching = r.clearance + r.near - gap
+        reaching = r.clearance + r.near - target_gap(p, q, r, place)
         if a.firm[tree, s] == 1:
-            breach = breach + wp.max(0.0, reaching + radius)
-        elif reaching > 0.0:
-            breach = breach + wp.max(0.0, reaching - r.depth[1])
+            firm = firm + wp.max(0.0, reaching + radius)
+        if reaching > 0.0:
+            number = number + 1.0
+            if a.firm[tree, s] == 0:
+                deep = deep + wp.max(0.0, reaching - r.depth[1])
             for j in range(AXIS_POINTS):
                 x = wp.lerp(p, q, (float(j) + 0.5) / float(AXIS_POINTS))
                 pairs = pairs + size * share_near(x, r, place) / float(AXIS_POINTS)
-    expected = r.points * r.points * pairs / wp.max(area, TINY)
-    return breach + r.near * wp.min(1.0, outside(expected, r.pairs) / r.pairs[0])
+    return wp.vec4(firm, deep, r.points * r.points * pairs / wp.max(area, TINY), number)
+
+
+@wp.func
+def branch_breach(a: SceneArrays, r: SceneRules, tree: int, place: Place) -> float:
+    """How far the branches break the rules of occlusion [m]; pairs or branches too few, pairs too many up to d_th."""
+    crowd = crowd_of(a, r, tree, place)
+    bounds = r.pairs
+    breach = wp.float32(0.0)
+    if r.feasible == 1:
+        breach = crowd[0] + crowd[1]
+    else:
+        bounds[1] = wp.float32(wp.inf)
+    breach = breach + r.near * wp.min(1.0, outside(crowd[2], bounds) / r.pairs[0])
+    return breach + r.near * wp.max(0.0, r.branches - crowd[3])
 
 
 @wp.func
@@ -290,6 +314,7 @@ def place_scene(
     damping_out: wp.array(dtype=wp.float32),
     friction_out: wp.array(dtype=wp.float32),
     breach_out: wp.array(dtype=wp.float32),
+    crowd_out: wp.array(dtype=wp.vec4),
 ):
     """Place tree and target of the masked worlds, and draw the scales of stiffness, damping and friction.
 
@@ -320,6 +345,7 @@ def place_scene(
     damping_out[world] = between_log(rules_in.damping, u[1])
     friction_out[world] = between(rules_in.friction, u[2])
     breach_out[world] = least
+    crowd_out[world] = crowd_of(arrays_in, rules_in, arrays_in.tree[world], best)
 
 
 @wp.func

@@ -13,13 +13,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...sim.base.errors import InputError
-from ...sim.base.strict_yaml import YamlFile
+from ...sim.base.errors import InputError, shortened
+from ...sim.base.strict_yaml import YamlFile, nearest
 from ...sim.base.types import Array
 from ...sim.trees.measured import MeasuredBranch
-from .columns import Columns, check_clock, read_columns, resampled
+from .clock import Clock, Timed, check_clock, resampled, timed
+from .columns import read_columns
 from .joints import JointSetup, check_joint_meta, joint_setup
-from .schema import BranchMeta, BranchTrajectoryMeta, GraspMeta, JointMeta, JointTrajectoryMeta, read_meta
+from .schema import (
+    BranchMeta,
+    BranchTrajectoryMeta,
+    ColumnMeta,
+    GraspMeta,
+    JointMeta,
+    JointTrajectoryMeta,
+    TimeColumn,
+    read_meta,
+)
 
 BRANCH_COLUMNS = ("t_s", "fx_N", "fy_N", "fz_N", "x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps")
 MAX_FORCE = 1e5
@@ -50,7 +60,7 @@ class BranchTrajectory(Trajectory):
     Attributes:
         force: Force of the arm on the branch as the sensor records it [N], shape [T, 3].
         displacement: Displacement of the grasp point from its calm rest position [m], shape [T, 3].
-        velocity: Velocity of the grasp point [m/s], shape [T, 3].
+        velocity: Velocity of the grasp point [m/s], shape [T, 3]; see `BranchCase.velocity_measured`.
         no_contact: Whether the gripper is known to be open, so that the true force is zero, shape [T].
         profile: Name of the force profile, may be empty.
         direction: Direction of the profile, shape [3], or None.
@@ -99,6 +109,7 @@ class BranchCase(MeasuredBranch):
         density: Density of the wood [kg/m^3].
         trunk_pivot_below_base: Where a trunk joint would sit if the trunk moved [m], or None.
         warnings: What is odd but possible, one line each.
+        velocity_measured: Whether files hold velocities; else they are `derivative` of the displacement.
     """
 
     folder: Path
@@ -109,6 +120,7 @@ class BranchCase(MeasuredBranch):
     density: float
     trunk_pivot_below_base: float | None
     warnings: tuple[str, ...]
+    velocity_measured: bool = True
 
 
 @dataclass(frozen=True)
@@ -168,13 +180,17 @@ def _meta_path(folder: Path) -> Path:
 
 def _check_trajectories(meta: BranchMeta | JointMeta, file: YamlFile) -> None:
     """Check what both forms share: files inside the folder and used once, replicates of earlier recordings."""
+    if isinstance(meta.time_column, list) and meta.time_scale is not None:
+        raise file.error(["time_scale"], "a scale beside two columns", "none: they are seconds and nanoseconds")
     used: list[tuple[str, Sequence[float]]] = []
     items: Sequence[BranchTrajectoryMeta | JointTrajectoryMeta] = meta.trajectories
+    if isinstance(meta, JointMeta) and meta.mechanism.mjcf is not None:
+        _check_inside(file, ["mechanism", "mjcf"], meta.mechanism.mjcf)
     for i, item in enumerate(items):
-        path = Path(item.file)
-        if path.is_absolute() or ".." in path.parts:
-            raise file.error(["trajectories", i, "file"], repr(item.file), "a file inside the case folder")
-        rows = getattr(item, "rows", None) or (0, np.inf)
+        _check_inside(file, ["trajectories", i, "file"], item.file)
+        rows = item.rows or (0, np.inf)
+        if item.rows and item.rows[1] <= item.rows[0]:
+            raise file.error(["trajectories", i, "rows"], f"{item.rows}", "[start, stop] with start < stop")
         if any(item.file == other and rows[0] < stop and start < rows[1] for other, (start, stop) in used):
             raise file.error(["trajectories", i, "file"], f"{item.file} a second time", "each recording once")
         used.append((item.file, rows))
@@ -187,10 +203,26 @@ def _check_trajectories(meta: BranchMeta | JointMeta, file: YamlFile) -> None:
             raise file.error(["trajectories", i, "replicate_of"], found, allowed)
 
 
+def _check_inside(file: YamlFile, here: Sequence[str | int], name: str) -> None:
+    """Refuse a file that lies outside the case folder, by its name or by where links lead."""
+    path, folder = Path(name), file.path.parent
+    try:
+        inside = not path.is_absolute() and ".." not in path.parts and "\0" not in name
+        inside = inside and (folder / path).resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError):  # links that lead in a circle, a name that is too long: who reads it says so
+        return
+    if not inside:
+        raise file.error(list(here), shortened(name), "a file inside the case folder")
+
+
 def _load_branch(folder: Path, meta: BranchMeta, file: YamlFile) -> BranchCase:
     warnings = _check_segments(meta, file)
     names = [s.name for s in meta.segments]
     segments = meta.segments
+    loaded = [_branch_trajectory(folder, meta, file, i) for i in range(len(meta.trajectories))]
+    measured = _all_measured(folder, meta, [known for _, known in loaded])
+    if not measured:
+        warnings.append(f"{file.path}: no file has velocities: they are derivatives of the displacement")
     return BranchCase(
         name=meta.name or folder.resolve().name,
         segment_name=tuple(names),
@@ -205,18 +237,36 @@ def _load_branch(folder: Path, meta: BranchMeta, file: YamlFile) -> BranchCase:
         grasp_distance=float(meta.grasp.distance_from_lower_end_m),
         folder=folder,
         dt=1.0 / meta.sample_rate_hz,
-        trajectories=tuple(_branch_trajectory(folder, meta, file, i) for i in range(len(meta.trajectories))),
+        trajectories=tuple(trajectory for trajectory, _ in loaded),
         noise_nominal=meta.noise_nominal,
         planar=meta.planar,
         density=float(meta.density_kgpm3),
         trunk_pivot_below_base=meta.trunk_pivot_below_base_m,
         warnings=tuple(warnings),
+        velocity_measured=measured,
     )
 
 
+def _all_measured(folder: Path, meta: BranchMeta, measured: list[bool]) -> bool:
+    """Return whether files have velocities: all of them or none."""
+    if len(set(measured)) > 1:
+        i = measured.index(False)
+        found = f"no velocities, which {meta.trajectories[measured.index(True)].file} has"
+        raise InputError(folder / meta.trajectories[i].file, "line 1 (header)", found, "all files with them or none")
+    return measured[0]
+
+
 def _check_segments(meta: BranchMeta, file: YamlFile) -> list[str]:
-    """Check geometry, grasp point and order in time; return warnings."""
+    """Check columns, geometry, grasp point and order in time; return warnings."""
     warnings = []
+    for key, given in meta.columns.items():
+        if key not in BRANCH_COLUMNS[1:]:
+            raise file.error(["columns", key], "a quantity that this format does not have",
+                             nearest(key, BRANCH_COLUMNS[1:]))  # fmt: skip
+        if isinstance(given, ColumnMeta) and given.scale == 0:
+            raise file.error(["columns", key, "scale"], "0", "a number other than zero")
+    if meta.resample_hz is not None and meta.resample_hz != meta.sample_rate_hz:
+        raise file.error(["resample_hz"], f"{meta.resample_hz:g}", f"sample_rate_hz, {meta.sample_rate_hz:g}")
     names = [s.name for s in meta.segments]
     for i, s in enumerate(meta.segments):
         here: list[str | int] = ["segments", i]
@@ -255,42 +305,104 @@ def _check_grasp(meta: BranchMeta, file: YamlFile, here: list[str | int], grasp:
         raise file.error([*here, "distance_from_lower_end_m"], found, allowed)
 
 
-def _branch_trajectory(folder: Path, meta: BranchMeta, file: YamlFile, index: int) -> BranchTrajectory:
+def _branch_trajectory(folder: Path, meta: BranchMeta, file: YamlFile, index: int) -> tuple[BranchTrajectory, bool]:
+    """Read one recording; return it and whether its velocities were measured."""
     item = meta.trajectories[index]
     grasp = item.grasp or meta.grasp
-    columns = read_columns(folder / item.file, BRANCH_COLUMNS, exact=True)
-    data = columns.values
-    if len(data) != meta.n_samples:
-        raise InputError(columns.path, "", f"{len(data)} rows", f"n_samples of meta.yaml, {meta.n_samples}")
-    check_clock(columns, meta.sample_rate_hz)
-    reach = 2 * sum(s.length_m for s in meta.segments)
-    _check_size(columns, slice(1, 4), MAX_FORCE, f"at most {MAX_FORCE:g} N in size")
-    _check_size(columns, slice(4, 7), reach, f"at most {reach:.3g} m in size, twice the branch's length")
-    if meta.planar:
-        _check_size(columns, slice(2, 9, 3), 1e-9, "0 in the y columns of a planar case")
+    names = [_column(meta, key).column for key in BRANCH_COLUMNS[1:]]
+    own = not meta.columns and meta.time_column == "t_s"
+    read = _read(folder, item, _clock(meta.time_column, meta.time_scale), tuple(names), meta.resample_hz, exact=own,
+                 optional=tuple(names[6:]))  # fmt: skip
+    if len(read.t) != meta.n_samples:
+        found = f"{len(read.t)} rows"
+        allowed = f"n_samples of meta.yaml, {meta.n_samples}"
+        if len(read.t) > meta.n_samples:
+            allowed += f", or rows: [0, {meta.n_samples}] of this trajectory there"
+        raise InputError(read.columns.path, "", found, allowed)
+    check_clock(read, meta.sample_rate_hz)
+    quiet = _no_contact(read.t, item.no_contact, file, index)
+    data, measured = _quantities(meta, read, quiet)
+    _check_sizes(meta, read, data)
     return BranchTrajectory(
         file=item.file,
         t=np.arange(len(data)) / meta.sample_rate_hz,
         t_start=float(item.t_start_s),
         replicate_of=None if item.replicate_of is None else item.replicate_of - 1,
-        force=data[:, 1:4].copy(),
-        displacement=data[:, 4:7].copy(),
-        velocity=data[:, 7:10].copy(),
-        no_contact=_no_contact(data[:, 0], item.no_contact, file, index),
+        force=data[:, :3].copy(),
+        displacement=data[:, 3:6].copy(),
+        velocity=data[:, 6:].copy(),
+        no_contact=quiet,
         profile=item.profile,
         direction=None if item.direction is None else np.array(item.direction, dtype=np.float64),
         grasp_segment=[s.name for s in meta.segments].index(grasp.segment),
         grasp_distance=float(grasp.distance_from_lower_end_m),
-    )
+    ), measured
 
 
-def _check_size(columns: Columns, which: slice, limit: float, allowed: str) -> None:
-    block = np.abs(columns.values[:, which])
+def _clock(column: TimeColumn, scale: float | None) -> Clock:
+    return Clock((column,), scale) if isinstance(column, str) else Clock(tuple(column))
+
+
+def _column(meta: BranchMeta, key: str) -> ColumnMeta:
+    given = meta.columns.get(key, key)
+    return ColumnMeta(column=given) if isinstance(given, str) else given
+
+
+def _read(
+    folder: Path, item: BranchTrajectoryMeta | JointTrajectoryMeta, clock: Clock, names: tuple[str, ...],
+    resample_hz: float | None, *, exact: bool, optional: tuple[str, ...] = (),
+) -> Timed:  # fmt: skip
+    """Read columns and clock of one recording, on a uniform grid where one is asked for."""
+    rows = (item.rows[0], item.rows[1]) if item.rows else None
+    wanted = (*clock.columns, *dict.fromkeys(name for name in names if name not in clock.columns))
+    columns = read_columns(folder / item.file, wanted, exact=exact, rows=rows, clocks=len(clock.columns),
+                           optional=optional)  # fmt: skip
+    read = timed(columns, clock)
+    return read if resample_hz is None else resampled(read, resample_hz)
+
+
+def _quantities(meta: BranchMeta, read: Timed, quiet: NDArray[np.bool_]) -> tuple[Array, bool]:
+    """Return force, displacement and velocity in SI units, shape [T, 9], and whether the velocity was measured."""
+    by_name = dict(zip(read.others, read.values.T, strict=True))
+    chosen = [_column(meta, key) for key in BRANCH_COLUMNS[1:]]
+    measured = any(c.column in by_name for c in chosen[6:])
+    before = max(1, int(np.logical_and.accumulate(quiet).sum()))  # the first sample, where nothing is known to be quiet
+    columns = []
+    for c in chosen if measured else chosen[:6]:
+        x = by_name[c.column]
+        columns.append(c.scale * (x - (float(x[:before].mean()) if c.offset == "start" else c.offset)))
+    data = np.stack(columns, axis=-1)
+    return (data if measured else np.hstack([data, derivative(data[:, 3:6], 1.0 / meta.sample_rate_hz)])), measured
+
+
+#: Deviation of `derivative` of white noise of deviation one, in 1 / dt: the root of (1 + 64 + 64 + 1) / 144.
+DERIVATIVE_NOISE = float(np.sqrt(130.0)) / 12.0
+
+
+def derivative(x: Array, dt: float) -> Array:
+    """Return the time derivative of columns [T, C] by central differences of fourth order; of second at the ends."""
+    out: Array = np.gradient(x, dt, axis=0, edge_order=2)
+    if len(x) > 4:
+        out[2:-2] = (8.0 * (x[3:-1] - x[1:-3]) - (x[4:] - x[:-4])) / (12.0 * dt)
+    return out
+
+
+def _check_sizes(meta: BranchMeta, read: Timed, data: Array) -> None:
+    reach = 2 * sum(s.length_m for s in meta.segments)
+    mend = "or its unit in columns of meta.yaml"
+    _check_size(meta, read, data, slice(0, 3), MAX_FORCE, f"at most {MAX_FORCE:g} N in size, {mend}")
+    far = f"at most {reach:.3g} m in size, twice the branch's length, {mend} (offset: start for positions)"
+    _check_size(meta, read, data, slice(3, 6), reach, far)
+    if meta.planar:
+        _check_size(meta, read, data, slice(1, 9, 3), 1e-9, "0 in the y columns of a planar case")
+
+
+def _check_size(meta: BranchMeta, read: Timed, data: Array, which: slice, limit: float, allowed: str) -> None:
+    block = np.abs(data[:, which])
     if block.max() > limit:
         row, column = np.argwhere(block > limit)[0]
-        name = columns.names[which][column]
-        value = columns.values[row, columns.names.index(name)]
-        raise InputError(columns.path, columns.place(int(row), name), f"{value:g}", allowed)
+        name = _column(meta, BRANCH_COLUMNS[1:][which][column]).column
+        raise InputError(read.columns.path, read.place(int(row), name), f"{data[row, which][column]:g}", allowed)
 
 
 def _no_contact(t: Array, intervals: list[list[float]], file: YamlFile, index: int) -> NDArray[np.bool_]:
@@ -321,7 +433,8 @@ def _load_joints(folder: Path, meta: JointMeta, file: YamlFile) -> JointCase:
     for (trajectory, own), item in zip(loaded, meta.trajectories, strict=True):
         if abs(own - dt) * len(trajectory.t) > 0.5 * dt:
             path, found = folder / item.file, f"a sample every {own:.9g} s"
-            raise InputError(path, f"column {meta.time_column}", found, f"{dt:.9g} s as in the other trajectories")
+            name = _clock(meta.time_column, None).columns[0]
+            raise InputError(path, f"column {name}", found, f"{dt:.9g} s as in the other trajectories")
     setup = joint_setup(meta, file, folder, dt)
     return JointCase(
         **vars(setup),
@@ -336,22 +449,35 @@ def _load_joints(folder: Path, meta: JointMeta, file: YamlFile) -> JointCase:
     )
 
 
+def _check_span(path: Path, column: str, values: Array) -> None:
+    """Refuse numbers beyond what single precision can square, and changes that it cannot; none at all is no fault."""
+    most, span = np.abs(values).max(), np.ptp(values)
+    if most > LARGEST or 0.0 < span < 1.0 / LARGEST:
+        found = f"{most:.3g}" if most > LARGEST else f"changes of {span:.3g} in all"
+        allowed = f"numbers up to {LARGEST:g} that change by {1 / LARGEST:g} or more, or not at all (times scale)"
+        raise InputError(path, f"column {column}", found, allowed)
+
+
+#: Largest measured number, times its scale, in SI units, and the inverse of the least change of one.
+LARGEST = 1.0e15
+
+
 def _joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) -> tuple[JointTrajectory, float]:
     """Read one recording; return it and its own time step [s]."""
     inputs = meta.input or []
-    names = list(dict.fromkeys([meta.time_column, *(i.column for i in inputs), *(o.column for o in meta.outputs)]))
-    rows = (item.rows[0], item.rows[1]) if item.rows else None
-    columns = read_columns(folder / item.file, tuple(names), exact=False, rows=rows)
-    columns = columns if meta.resample_hz is None else resampled(columns, meta.resample_hz)
-    step = check_clock(columns)
-    by_name = dict(zip(names, columns.values.T, strict=True))
+    names = tuple(dict.fromkeys([*(i.column for i in inputs), *(o.column for o in meta.outputs)]))
+    read = _read(folder, item, _clock(meta.time_column, meta.time_scale), names, meta.resample_hz, exact=False)
+    step = check_clock(read)
+    by_name = dict(zip(read.others, read.values.T, strict=True))
+    for column, scale in [(i.column, i.scale) for i in inputs] + [(o.column, o.scale) for o in meta.outputs]:
+        _check_span(folder / item.file, column, by_name[column] * scale)
     efforts = [by_name[i.column] * i.scale for i in inputs]
     trajectory = JointTrajectory(
         file=item.file,
-        t=step * np.arange(len(columns.values), dtype=np.float64),
+        t=step * np.arange(len(read.t), dtype=np.float64),
         t_start=float(item.t_start_s),
         replicate_of=None if item.replicate_of is None else item.replicate_of - 1,
-        effort=np.stack(efforts, axis=-1) if efforts else np.zeros((len(columns.values), 0)),
-        output=np.stack([by_name[o.column] * o.scale for o in meta.outputs], axis=-1),
+        effort=np.stack(efforts, axis=-1) if efforts else np.zeros((len(read.t), 0)),
+        output=np.stack([(by_name[o.column] - o.offset) * o.scale for o in meta.outputs], axis=-1),
     )
     return trajectory, step

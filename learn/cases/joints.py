@@ -21,11 +21,11 @@ class GravityTorque:
 
     Attributes:
         amplitude: m g l [N m], or None = infer.
-        zero_angle: Hanging angle [rad].
+        zero_angle: Hanging angle [rad], as the encoder reads it, or None = infer.
     """
 
     amplitude: float | None
-    zero_angle: float
+    zero_angle: float | None
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,7 @@ class JointSetup:
         outputs: What is measured, length C.
         fit: ``replay`` (the motion that the efforts cause) or ``torque`` (the efforts that the motion needs).
         filter_hz: Cut-off of the low-pass filter of torque fits [Hz].
+        stated: Whether ``meta.yaml`` says how to fit, by ``fit`` or by the cut-off; else see `learn.replay.choice`.
     """
 
     joints: tuple[JointAxis, ...]
@@ -113,6 +114,7 @@ class JointSetup:
     outputs: tuple[JointOutput, ...]
     fit: Literal["replay", "torque"]
     filter_hz: float
+    stated: bool
 
     @property
     def channels(self) -> tuple[JointOutput, ...]:
@@ -156,18 +158,20 @@ def joint_setup(meta: JointMeta, file: YamlFile, folder: Path, dt: float) -> Joi
         outputs=tuple(JointOutput(o.joint, o.quantity, o.column, float(o.scale)) for o in meta.outputs),
         fit="torque" if torque else "replay",
         filter_hz=filter_hz,
+        stated=meta.fit is not None or meta.filter_hz is not None,
     )
 
 
 def _fits_torque(meta: JointMeta, file: YamlFile, joints: list[str]) -> bool:
-    """Return whether efforts are fitted: as ``fit`` says, else for an MJCF file with everything measured."""
+    """Return whether efforts are fitted: as ``fit`` or a cut-off says, else for an MJCF file, if all is measured."""
     located = [o.joint for o in meta.outputs if o.quantity == "position"]
     driven = [i.joint for i in meta.input or ()]
     missing = [f"{what} of {name}" for what, names in (("position", located), ("input", driven))
                for name in joints if name not in names]  # fmt: skip
     if meta.fit == "torque" and missing:
         raise file.error(["fit"], f"torque without {missing[0]}", "replay, or position and input of every joint")
-    return meta.fit == "torque" or (meta.fit is None and meta.mechanism.mjcf is not None and not missing)
+    likely = meta.mechanism.mjcf is not None or meta.filter_hz is not None
+    return meta.fit == "torque" or (meta.fit is None and likely and not missing)
 
 
 def case_joints(meta: JointMeta, folder: Path) -> tuple[JointAxis, ...]:
@@ -191,7 +195,7 @@ def case_joints(meta: JointMeta, folder: Path) -> tuple[JointAxis, ...]:
 
 def _joint(link: int, spec: JointSpecMeta) -> JointSpec:
     gravity = spec.gravity_torque
-    torque = GravityTorque(gravity.amplitude, float(gravity.zero_angle)) if gravity else None
+    torque = GravityTorque(gravity.amplitude, gravity.zero_angle) if gravity else None
     return JointSpec(spec.name, spec.type, link, spec.inertia, spec.stiffness, spec.damping, torque)
 
 
@@ -200,8 +204,8 @@ def check_joint_meta(meta: JointMeta, file: YamlFile, folder: Path) -> None:
 
     Raises:
         InputError: An input, output or unknown names an unknown joint, a scale is zero, a joint is driven twice; a
-            joint cannot have what it states; the inertia is to be inferred where nothing drives the joint; ``rows``
-            are reversed; the split overlaps or names a trajectory that is not there; the MJCF file cannot be read.
+            joint cannot have what it states; the inertia is to be inferred where nothing drives the joint; the split
+            overlaps or names a trajectory that is not there; the MJCF file cannot be read.
     """
     names = [joint.name for joint in case_joints(meta, folder)]
     users: list[tuple[list[str | int], InputMeta | OutputMeta]] = [
@@ -219,9 +223,6 @@ def check_joint_meta(meta: JointMeta, file: YamlFile, folder: Path) -> None:
             raise file.error(["input", i, "joint"], f"{name} a second time", "one input a joint")
     _check_unknown(meta, file, names)
     _check_mechanism(meta, file)
-    for i, item in enumerate(meta.trajectories):
-        if item.rows and item.rows[1] <= item.rows[0]:
-            raise file.error(["trajectories", i, "rows"], f"{item.rows}", "[start, stop] with start < stop")
     _check_split(meta, file)
 
 

@@ -19,7 +19,7 @@ from math import comb
 import numpy as np
 
 from ...sim.base.types import Array
-from .case import BRANCH_COLUMNS, BranchCase, JointCase
+from .case import BRANCH_COLUMNS, DERIVATIVE_NOISE, BranchCase, JointCase
 
 ORDERS = tuple(range(2, 11))
 AGREE = 2.0
@@ -80,7 +80,12 @@ def estimate_noise(case: BranchCase | JointCase) -> NoiseEstimate:
     }  # fmt: skip
     sigma = [pool([methods[name][c] for name in methods]) for c in range(len(channel))]
     by_method = {name: np.array([value for value, _ in rows]) for name, rows in methods.items()}
-    return NoiseEstimate(channel, np.maximum(sigma, rounding), by_method)
+    sigma = np.maximum(sigma, rounding)
+    if isinstance(case, BranchCase) and not case.velocity_measured:
+        # a derivative's noise is that of the displacement, and its differences would show less than there is
+        for values in (sigma, *by_method.values()):
+            values[6:9] = DERIVATIVE_NOISE / case.dt * values[3:6]
+    return NoiseEstimate(channel, sigma, by_method)
 
 
 def quiet_sigma(signals: list[Array], masks: list[Array]) -> tuple[float, float]:

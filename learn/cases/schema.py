@@ -39,10 +39,24 @@ class GraspMeta(Strict):
     distance_from_lower_end_m: NotNegative
 
 
+class ColumnMeta(Strict):
+    """Where a quantity stands in a file: scale * (column - offset); offset ``start``: what it reads before contact."""
+
+    column: str = Field(min_length=1)
+    scale: float = 1.0
+    offset: float | Literal["start"] = 0.0
+
+
+#: A column's name, or a pair of names: seconds and nanoseconds.
+TimeColumn = Annotated[str, Field(min_length=1)] | Annotated[list[str], Field(min_length=2, max_length=2)]
+Rows = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
+
+
 class BranchTrajectoryMeta(Strict):
     """One recording on the branch; ``replicate_of`` counts from 1, ``grasp`` stands in for the case's own."""
 
     file: str = Field(min_length=1)
+    rows: Rows | None = None
     profile: str = ""
     direction: Vector | None = None
     t_start_s: float
@@ -58,6 +72,10 @@ class BranchMeta(Strict):
     name: str | None = None
     sample_rate_hz: float = Field(gt=0, le=1e6)
     n_samples: int = Field(ge=3)
+    time_column: TimeColumn = "t_s"
+    time_scale: Positive | None = None
+    resample_hz: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    columns: dict[str, str | ColumnMeta] = Field(default_factory=dict)
     gravity_mps2: float = Field(ge=0, le=30)
     planar: bool = False
     density_kgpm3: float = Field(ge=50, le=2500)
@@ -72,10 +90,10 @@ class BranchMeta(Strict):
 
 
 class GravityTorqueMeta(Strict):
-    """Gravity torque amplitude * sin(q - zero_angle) [N m, rad]; null amplitude = infer."""
+    """Gravity torque amplitude * sin(q - zero_angle) [N m, rad]; null = infer."""
 
     amplitude: Positive | None
-    zero_angle: float = 0.0
+    zero_angle: float | None = 0.0
 
 
 class JointSpecMeta(Strict):
@@ -122,12 +140,13 @@ def _listed(value: object) -> object:
 
 
 class OutputMeta(Strict):
-    """A measured column: quantity of a joint = scale * column [rad or m, per second, per second squared]."""
+    """A measured column: quantity = scale * (column - offset) [rad or m, per second, per second squared]."""
 
     joint: str
     quantity: Literal["position", "velocity", "acceleration"]
     column: str = Field(min_length=1)
     scale: float
+    offset: float = 0.0
 
 
 class JointTrajectoryMeta(Strict):
@@ -135,7 +154,7 @@ class JointTrajectoryMeta(Strict):
 
     file: str = Field(min_length=1)
     t_start_s: float
-    rows: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)] | None = None
+    rows: Rows | None = None
     replicate_of: Ordinal | None = None
 
 
@@ -151,7 +170,8 @@ class JointMeta(Strict):
 
     format: Literal["joint-gap-case/1"]
     name: str | None = None
-    time_column: str = Field(default="time_s", min_length=1)
+    time_column: TimeColumn = "time_s"
+    time_scale: Positive | None = None
     resample_hz: Annotated[float, Field(gt=0, le=1e6)] | None = None
     mechanism: MechanismMeta
     input: Annotated[Annotated[list[InputMeta], Field(min_length=1)] | None, BeforeValidator(_listed)]

@@ -10,7 +10,7 @@ understood; one that finds something turns the verdict into ``unknown``.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from .decide import probe_for
@@ -38,9 +38,10 @@ def _abstaining(found: Diagnosis, broken: tuple[str, ...]) -> Diagnosis:
     ranked = (label for rival in found.ranking for label in rival.effects)
     nearest = found.nearest or next((label.split("@")[0] for label in (*found.tried, *ranked)), None)
     probe = found.unusable or (_probe(nearest) if found.verdict == "none" else found.next_experiment)
+    model = found.model and replace(found.model, claimed=not found.model.effects)
     return replace(
         found, verdict="unknown", effects=(), parameters={}, alternatives={}, posterior=None, not_understood=broken,
-        nearest=None if found.unusable else nearest, next_experiment=probe,
+        nearest=None if found.unusable else nearest, next_experiment=probe, model=model, implausible=(),
     )  # fmt: skip
 
 
@@ -168,7 +169,14 @@ def sentence(found: Diagnosis) -> str:
         first = f"No verdict, because the results contradict each other: {'; '.join(found.not_understood)}."
     else:
         first = {"none": _none, "unknown": _unknown, "effects": _effects}[found.verdict](found)
-    return " ".join([first, *found.remarks])
+    return " ".join([first, *stand_in(found.implausible), *found.remarks])
+
+
+def stand_in(implausible: Sequence[str]) -> list[str]:
+    """Return what to think of a name whose value nature does not have; nothing where there is none."""
+    if not implausible:
+        return []
+    return [f"It has a value that nature does not have: {'; '.join(implausible)}. Treat the name as a stand-in."]
 
 
 def _none(d: Diagnosis) -> str:
@@ -183,6 +191,8 @@ def _none(d: Diagnosis) -> str:
 
 
 def _unknown(d: Diagnosis) -> str:
+    if d.unstable:
+        return f"No effect is named, since the verdict hangs on how the data are treated: {d.unstable[0]}."
     first = "Something is missing that these data cannot name" if significant(d) else "These data name no effect"
     if not d.tried and d.nearest is None:
         return f"{first}: no candidate could be fitted."

@@ -13,7 +13,9 @@ from ..replay.equation_error import fits_torque
 from ..systems.acting import Acting
 from .diagnosis import Settings, VerdictName
 from .evidence import ALARM, lacks_fit
+from .models.certain import uncertain
 from .models.fitted import QUIET, FittedModels, Model
+from .models.left_out import left_out_chi2, profiles
 from .prepare import Base
 from .search import Searched
 
@@ -36,6 +38,8 @@ FURTHER, FURTHER_SHARE, FURTHER_SHARE_TORQUE = 20.0, 0.3, 0.1
 WORTH, WORTH_JOINT, MOST, NEARLY_ALL = 0.1, 0.08, 0.88, 0.93
 #: Least share of a branch's excess that one law at two joints must explain to be named.
 TWICE = 0.97
+#: Least share of a further effect's gain that must remain on recordings that were left out of the fits.
+KEPT = 0.5
 #: Difference of the information criterion below which two models cannot be told apart.
 TIED = 12.0
 
@@ -52,6 +56,8 @@ class Decision:
         named: Effects that are claimed.
         alternatives: For each of them the names that these data cannot tell from it.
         nearest: For ``unknown`` the closest name, not claimed; None if the data cannot support a verdict.
+        too_small: For ``none`` whether more than noise is left, which is smaller than the tolerance.
+        unstable: What would change the verdict of measured joints, see `steady`.
     """
 
     verdict: VerdictName
@@ -61,20 +67,23 @@ class Decision:
     named: tuple[Acting, ...] = ()
     alternatives: dict[str, tuple[str, ...]] = field(default_factory=dict)
     nearest: str | None = None
+    too_small: bool = False
+    unstable: tuple[str, ...] = ()
 
 
 def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
     """Return the verdict, the preferred model and the named effects."""
     models = searched.fitted
-    model = chosen(models, settings.max_effects)
+    model = _borne_out(models, chosen(models, settings.max_effects))
     verdict = _verdict(base, searched, model, settings.tolerance)
     candidates = models.contest.candidates
     if verdict == "effects":
         named = tuple(candidates[c].acting for c in model.members)
         return Decision(verdict, models.base, model, model, named, alternatives(models, model))
     if verdict == "none":
-        return Decision(verdict, models.base, model, models.base)
-    nearest = None if base.unusable else candidates[leading(models, model)].name
+        left = searched.p_value <= ALARM or lacks_fit(models, 0.0)
+        return Decision(verdict, models.base, model, models.base, too_small=left)
+    nearest = None if base.unusable or not model.members else candidates[leading(models, model)].name
     return Decision(verdict, models.base, model, model, nearest=nearest)
 
 
@@ -82,10 +91,40 @@ def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> 
     if base.unusable is not None:
         return "unknown"
     models = searched.fitted
-    small = searched.p_value > ALARM or size(models, model, base.motion) < tolerance
+    small = searched.p_value > ALARM or size(models, models.best, base.motion) < tolerance
     if small and not lacks_fit(models, tolerance * base.motion):
         return "none"
-    return "effects" if known(models, model) else "unknown"
+    certain = not uncertain(models.contest, model)
+    return "effects" if certain and known(models, model) else "unknown"
+
+
+def _borne_out(fitted: FittedModels, model: Model) -> Model:
+    """Return a model without further effects that may as well be off, or that do not pay on recordings left out.
+
+    The first effect stays: it is the nearest name even where it is not claimed.
+    """
+    while len(model.members) > 1:
+        off = uncertain(fitted.contest, model)
+        smaller = [m for m in fitted.contained(model) if len(m.members) == len(model.members) - 1
+                   and not (off and set(off) <= set(m.members))]  # fmt: skip
+        inner = min(smaller, key=fitted.criterion, default=None)
+        if inner is None or (not off and pays(fitted, model, inner)):
+            break
+        model = inner
+    return model
+
+
+def pays(fitted: FittedModels, model: Model, inner: Model) -> bool:
+    """Return whether a model predicts recordings that it was not fitted to better than one with an effect less.
+
+    Of what it gains where it is fitted it must keep the share `KEPT` there. True where nothing can be left out: joints,
+    and branches with replicates of one experiment alone.
+    """
+    groups = profiles(fitted.contest)
+    if not isinstance(fitted.contest.case, BranchCase) or len(groups) < 2:
+        return True
+    outer, less = left_out_chi2(fitted.contest, [model, inner], groups).sum(1).tolist()
+    return bool(less - outer > KEPT * (inner.chi2 - model.chi2))
 
 
 def chosen(fitted: FittedModels, most: int) -> Model:

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from ...sim.base.errors import InputError
 from ...sim.base.files import output_folder
 from ...version import __version__
 from ..cases.case import BranchCase, JointCase, load_case
+from ..replay.choice import choose
 from ..runs.checkpoint import Checkpoint, digest
 from ..runs.threads import one_thread
 from .decide import decide
 from .diagnosis import Diagnosis, Settings
 from .evidence import bootstrap_test
-from .held_out import held_out_gap
 from .models.candidates import names_for
 from .next_probe import next_experiment
-from .posterior import infer, intervals
 from .prepare import prepare
 from .record import record
+from .repaired import repair
 from .rivals import rank
 from .run import Progress, Run, silent
 from .search import nothing_searched, restored, search
+from .steady import steadied
 from .where import locate, noise_seen
 
 
@@ -31,6 +33,8 @@ def find_missing(case: BranchCase | JointCase, run: Run) -> Diagnosis:
     Raises:
         InputError: The settings cannot be, or an effect that they name cannot act in such a case.
     """
+    choice = choose(case, run.settings.fit)  # replay or torque, before anything depends on it
+    case = choice.case
     check(case, run.settings)
     with run.timed("total"):
         base = prepare(case, run)  # noise, fit of the base model, and whether the case can say anything
@@ -41,18 +45,18 @@ def find_missing(case: BranchCase | JointCase, run: Run) -> Diagnosis:
         models, contest = searched.fitted, base.contest
         with run.timed("evidence"):
             decision = decide(base, searched, run.settings)  # none, effects by name, or unknown
-            gap = held_out_gap(base, decision)  # in recordings not fitted to, before and after the repair
+            decision = steadied(base, searched, decision, run)  # joints: the same under another filter, rate or split
             run.progress("evidence", 1)
             ranking = rank(models, decision)  # all models; the leading ones where they were not fitted
-        posterior = infer(models, decision, run)
-        parameters = intervals(models, decision, posterior)
-        noise, outputs = noise_seen(contest), (models.output(decision.base), models.output(decision.final))
-        where = locate(case, contest.recordings, noise, outputs[0], models.stiffness(decision.base))
+        repaired = repair(base, decision, run)  # one model that is fitted, inferred, written, and misses what it misses
+        noise = noise_seen(contest)
+        where = locate(case, contest.recordings, noise, repaired.base_output, repaired.base_stiffness)
         probe = base.unusable or next_experiment(models, decision)
-    return record(
-        base, searched, decision, run, gap=gap, ranking=ranking, posterior=posterior, parameters=parameters,
-        noise=noise, outputs=outputs, where=where, next_experiment=probe,
+    found = record(
+        base, searched, decision, run, repaired=repaired, ranking=ranking, noise=noise, where=where,
+        next_experiment=probe,
     )  # fmt: skip
+    return replace(found, fit=choice.stated)
 
 
 def check(case: BranchCase | JointCase, settings: Settings) -> None:
@@ -75,7 +79,7 @@ def diagnose(
     target, settings = Path(out), settings or Settings()
     with output_folder(target) as work:
         case = given if isinstance(given, BranchCase | JointCase) else load_case(given)
-        check(case, settings)
+        check(choose(case, settings.fit).case, settings)
         keep = Checkpoint(target.absolute().parent / f".{target.name}.unfinished", _key(case, settings))
         keep.open(resume)
         try:

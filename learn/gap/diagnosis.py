@@ -17,8 +17,11 @@ if TYPE_CHECKING:
     from ..inference.posterior import Posterior
     from ..replay.recording import Recording
     from ..systems.acting import Acting
+    from ..systems.model_file import Model
 
 VerdictName = Literal["none", "effects", "unknown"]
+#: End of its box that a parameter is at, None where it is inside.
+Bound = Literal["low", "high"] | None
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,7 @@ class Settings:
         max_effects: Most effects that are named together.
         seed: Seed of all random numbers.
         particles: Particles of the joint posterior of base and effects; 0 uses the curvature at the fit instead.
+        fit: Replay or torque for joints measured directly; None chooses, see `learn.replay.choice`.
     """
 
     effects: tuple[str, ...] = ()
@@ -38,6 +42,7 @@ class Settings:
     max_effects: int = 2
     seed: int = 0
     particles: int = 64
+    fit: Literal["replay", "torque"] | None = None
 
     def check(self) -> None:
         """Raise `InputError` for numbers that cannot be and names that no effect has."""
@@ -54,12 +59,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class Interval:
-    """Median and 95 % interval of a parameter in SI units."""
+    """Median and 95 % interval of a parameter in SI units, and the end of its box that it is at."""
 
     median: float
     low: float
     high: float
     unit: str
+    at_bound: Bound = None
 
 
 @dataclass(frozen=True)
@@ -147,6 +153,8 @@ class Diagnosis:
         p_null: Family-wise p-value of the best candidate under the base model.
         base_output, best_output: Channels simulated by base and repaired model, shape [R, T, C].
         base_values, best_values: Parameter values by name, of base and repaired model.
+        model: The repaired model as it is written; its values are ``best_values``.
+        implausible: Parameters of named effects with a value that nature does not have.
         posterior: Joint posterior of base and effects, None where nothing was named.
         next_experiment: What to probe next.
         seconds: Wall time of each stage.
@@ -158,6 +166,8 @@ class Diagnosis:
         unusable: Why the data cannot support a verdict, with the missing probe; None where they can.
         not_understood: Which results contradict each other (`consistent`).
         remarks: What the data leave open beside the verdict, a sentence each.
+        fit: Of joints measured directly: replay or torque, why, and whether the other way can be asked for.
+        unstable: What changes the verdict, such as ``a filter of 25 Hz names backlash``; empty if nothing does.
     """
 
     case: BranchCase | JointCase
@@ -182,6 +192,8 @@ class Diagnosis:
     base_values: dict[str, float]
     best_values: dict[str, float]
     next_experiment: str
+    model: Model | None = None
+    implausible: tuple[str, ...] = ()
     posterior: Posterior | None = None
     world_steps: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
@@ -192,6 +204,8 @@ class Diagnosis:
     unusable: str | None = None
     not_understood: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    fit: dict[str, str] = field(default_factory=dict)
+    unstable: tuple[str, ...] = ()
 
     @property
     def held_out(self) -> bool:
@@ -202,7 +216,8 @@ class Diagnosis:
         """Return what ``verdict.json`` holds, as CASE_FORMAT states it."""
         named = [
             {"name": a.name, "joint": a.joint,
-             "parameters": {n: {"median": i.median, "low": i.low, "high": i.high, "unit": i.unit}
+             "parameters": {n: {"median": i.median, "low": i.low, "high": i.high, "unit": i.unit,
+                                "at_bound": i.at_bound}
                             for n, i in self.parameters.get(a.label, {}).items()}}
             for a in self.effects
         ]  # fmt: skip
@@ -219,7 +234,8 @@ class Diagnosis:
                     "motion": self.swing, "replicate_scatter": self.scatter},
             "p_null": finite(self.p_null), "next_experiment": self.next_experiment, "sentence": self.sentence,
             "explained": finite(self.explained), "not_understood": list(self.not_understood),
-            "remarks": list(self.remarks),
+            "remarks": list(self.remarks), "implausible": list(self.implausible), "fit": self.fit,
+            "unstable": list(self.unstable),
         }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Joint posterior of base and effects, and intervals of the effects' parameters."""
+"""Joint posterior of base and effects, and intervals of the effects' parameters, about the repaired model."""
 
 from __future__ import annotations
 
@@ -8,40 +8,53 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from ..inference.correlated import correlation, sandwich, score_covariance
 from ..inference.fit import Modes, climb_until_converged, precision_at
 from ..inference.posterior import Posterior, sample
 from ..inference.settings import default_iterations
 from ..inference.target import Target
+from ..replay.input_noise import Colour
 from ..systems.branch import Unknowns
 from ..systems.system import Parameter
 from .decide import Decision
-from .diagnosis import Interval
-from .models.contest import Contest
-from .models.fitted import FittedModels, Model, overdispersion
+from .diagnosis import Bound, Interval
+from .models.contest import Batch, Contest
+from .models.fitted import Model
 from .models.refit import normal_equations
 from .run import Run
 
 #: Parameters of each named effect, by its label.
 Intervals = dict[str, dict[str, Interval]]
+#: Share of its box from an end, on its own scale, within which a parameter is said to be at its bound.
+NEAR = 0.01
 
 
-def infer(fitted: FittedModels, decision: Decision, run: Run) -> Posterior | None:
-    """Infer base and effects together by Stein variational gradient descent, if effects are named and settings ask."""
+def infer(contest: Contest, decision: Decision, fitted: Batch, train: Sequence[int], run: Run) -> Posterior | None:
+    """Infer base and effects together by Stein variational gradient descent, if effects are named and settings ask.
+
+    Args:
+        contest: What simulates the models.
+        decision: The verdict.
+        fitted: The repaired model fitted to the training recordings, a batch of one.
+        train: Those recordings: the posterior is of the data that the fit is of.
+        run: Settings, checkpoint and progress.
+    """
     if decision.verdict != "effects" or not run.settings.particles:
         return None
     with run.timed("posterior"):
-        return posterior_of(fitted.contest, decision.model, run)
+        return posterior_of(contest, decision.model, fitted, train, run)
 
 
-def posterior_of(contest: Contest, model: Model, run: Run) -> Posterior:
+def posterior_of(contest: Contest, model: Model, fitted: Batch, train: Sequence[int], run: Run) -> Posterior:
     """Infer the base's and the effects' parameters of a model together, about its fit.
 
     The simulator's kernel is that of the search, with the effects outside the model fixed at neutral.
     """
-    target = Target(contest.case, contest.recordings, torch.as_tensor(contest.sigma), unknowns=only(contest, model))
-    target.colour = contest.colour
-    batch = model.fit.batch
-    theta = torch.cat([batch.free[batch.active][None], batch.start.flatten(1), target.log_noise0[None]], 1)
+    chosen = [contest.recordings[j] for j in train]
+    target = Target(contest.case, chosen, torch.as_tensor(contest.sigma), unknowns=only(contest, model))
+    target.colour = _of(contest.colour, train)
+    start = fitted.start[:, list(train)].flatten(1)
+    theta = torch.cat([fitted.free[fitted.active][None], start, target.log_noise0[None]], 1)
     theta = climb_until_converged(target, theta)
     modes = Modes(theta, target.log_density(theta), precision_at(target, theta))
     count = max(run.settings.particles, 2 * target.num_dims)
@@ -49,6 +62,13 @@ def posterior_of(contest: Contest, model: Model, run: Run) -> Posterior:
         target, modes, particles=count, iterations=default_iterations("svgd"), seed=run.settings.seed,
         checkpoint=run.keep, progress=lambda stage, done: run.progress("sampling", done),
     )  # fmt: skip
+
+
+def _of(colour: Colour | None, chosen: Sequence[int]) -> Colour | None:
+    """Return the correlation of some recordings."""
+    if colour is None:
+        return None
+    return replace(colour, basis=colour.basis[list(chosen)], gain=colour.gain[list(chosen)])
 
 
 def only(contest: Contest, model: Model) -> Unknowns:
@@ -60,52 +80,69 @@ def only(contest: Contest, model: Model) -> Unknowns:
     return Unknowns(effects=tuple(acting))
 
 
-def intervals(fitted: FittedModels, decision: Decision, posterior: Posterior | None) -> Intervals:
+def intervals(
+    contest: Contest, decision: Decision, fitted: Batch, train: Sequence[int], posterior: Posterior | None
+) -> Intervals:
     """Return medians and 95 % intervals of the named effects' parameters, by the posterior or the curvature at the fit.
 
-    Intervals are clipped to the parameters' boxes.
+    Medians are the repaired model's values. No end of an interval is outside the box of a parameter that has one.
     """
     if decision.verdict != "effects":
         return {}
-    if posterior is None:
-        return _by_curvature(fitted.contest, decision.model)
-    return _by_posterior(fitted.contest, decision.model, posterior)
+    widths = {} if posterior is not None else _deviations(contest.rigid(), fitted, train)
+    ends = {} if posterior is None else _rows(posterior)
+    out: Intervals = {}
+    for c in decision.model.members:
+        candidate = contest.candidates[c]
+        own = out.setdefault(candidate.acting.label, {})
+        for spec, k in zip(candidate.specs, candidate.columns, strict=True):
+            p, free = contest.parameters[k], float(fitted.free[0, k])
+            row = ends[p.name] if ends else _by_curvature(p, free, widths[k])
+            own[spec.name] = Interval(*row, p.unit, at_bound(p, free, row))
+    return out
 
 
-def _by_posterior(contest: Contest, model: Model, posterior: Posterior) -> Intervals:
-    ends = zip(*posterior.interval(), strict=True)
-    found = {p.name: _inside(p, [float(x) for x in row]) for p, row in zip(posterior.parameters, ends, strict=True)}
-    own = [contest.candidates[c] for c in model.members]
-    return {c.acting.label: {s.name: found[f"{c.acting.label} {s.name}"] for s in c.specs} for c in own}
+def _rows(posterior: Posterior) -> dict[str, tuple[float, float, float]]:
+    columns = (x.tolist() for x in posterior.interval())
+    return {n: (m, a, b) for n, m, a, b in zip(posterior.names, *columns, strict=True)}
 
 
-def _by_curvature(contest: Contest, model: Model) -> Intervals:
-    batch, width = model.fit.batch, _deviations(contest, model)
-    own = [contest.candidates[c] for c in model.members]
-    return {
-        candidate.acting.label: {
-            spec.name: _interval(contest.parameters[k], float(batch.free[0, k]), width[k])
-            for spec, k in zip(candidate.specs, candidate.columns, strict=True)
-        }
-        for candidate in own
-    }
+def _by_curvature(p: Parameter, free: float, spread: float) -> tuple[float, float, float]:
+    """Return value and ends of an interval; beyond an end of the box there is nothing to be told."""
+    low, high = p.free(p.low), p.free(p.high)
+    ends = (free, max(free - 1.96 * spread, low), min(free + 1.96 * spread, high))
+    middle, a, b = (float(np.exp(x)) if p.scale == "log" else x for x in ends)
+    return middle, a, b
 
 
-def _deviations(contest: Contest, model: Model) -> dict[int, float]:
-    """Return the standard deviation of each active free coordinate by the curvature at the fit, by parameter index."""
-    residual, derivative, columns = contest.linearise(model.fit.batch)
-    normal, _ = normal_equations(contest, model.fit.batch, residual, derivative, columns)
+def at_bound(p: Parameter, free: float, row: tuple[float, float, float]) -> Bound:
+    """Return the end of its box that a parameter is at.
+
+    Its median is there to within `NEAR` of the box, or its fit is and its interval is in that half of the box.
+
+    Args:
+        p: The parameter.
+        free: Its free coordinate in the fit.
+        row: Median and ends of its interval.
+    """
+    low, high = p.free(p.low), p.free(p.high)
+    middle, *ends = ((p.free(x) - low) / (high - low) for x in row)
+    if middle <= NEAR or (free <= low and ends[1] < 0.5):
+        return "low"
+    return "high" if middle >= 1.0 - NEAR or (free >= high and ends[0] > 0.5) else None
+
+
+def _deviations(contest: Contest, fitted: Batch, train: Sequence[int]) -> dict[int, float]:
+    """Return the standard deviation of each active free coordinate at the fit, by parameter index.
+
+    By the curvature there and the residuals' size and correlation (`inference.correlated`).
+    """
+    residual, derivative, columns = contest.linearise(fitted)
+    normal, _ = normal_equations(contest, fitted, residual, derivative, columns)
     diagonal = normal[0].diagonal()
-    filled = normal[0] + torch.diag(torch.where(diagonal > 0.0, 0.0, 1.0))
-    spread = torch.linalg.inv(filled / overdispersion(contest, model.chi2)).diagonal().clamp(min=0.0).sqrt()
+    precision = normal[0] + torch.diag(torch.where(diagonal > 0.0, 0.0, 1.0))
+    rows, used = derivative[0][:, list(train)], int((diagonal > 0.0).sum())
+    seen = correlation(residual[0][list(train)], [len(contest.recordings[j].t) for j in train], used)
+    curvature = rows.flatten(1) @ rows.flatten(1).T
+    spread = sandwich(precision, curvature, score_covariance(seen, rows)).diagonal().sqrt()
     return {int(c): float(s) for c, s in zip(columns[0], spread, strict=False) if c >= 0}
-
-
-def _interval(parameter: Parameter, free: float, spread: float) -> Interval:
-    ends = [free, free - 1.96 * spread, free + 1.96 * spread]
-    return _inside(parameter, [float(np.exp(min(x, 700.0))) if parameter.scale == "log" else x for x in ends])
-
-
-def _inside(parameter: Parameter, values: Sequence[float]) -> Interval:
-    middle, low, high = (min(max(x, parameter.low), parameter.high) for x in values)
-    return Interval(middle, low, high, parameter.unit)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from ...sim.base.types import Array
 from ..cases.case import BranchCase, JointCase
-from ..inference.fit import find_modes
+from ..inference.fit import find_modes, representatives
 from ..inference.identify import force_noise, pooled_sigma
 from ..inference.posterior import initial_vectors
 from ..inference.target import Target
@@ -30,8 +30,8 @@ PIECES = 3
 #: Bend of the wood inside a segment relative to that of its joint under the same torque: mean and standard deviation of
 #: its prior, and finite-difference step of its response.
 WOOD, WOOD_SPREAD, WOOD_STEP = 0.05, 0.03, 0.06
-#: Starts of the base fit.
-STARTS = 8
+#: Starts of the base fit, and how many of the modes that they reach are fitted under the full noise model.
+STARTS, MODES = 8, 3
 
 
 @dataclass
@@ -43,7 +43,6 @@ class Base:
         fit: The base model's fit, a batch of one.
         noise: Noise of the channels.
         force_sigma: Noise of a branch's force [N], shape [3], or None.
-        motion: Rms of all measured channels in units of their noise.
         unusable: Why the data cannot support a verdict, with the missing probe; None where they can.
     """
 
@@ -51,14 +50,18 @@ class Base:
     fit: Fits
     noise: Noise
     force_sigma: Array | None
-    motion: float = field(init=False)
     unusable: str | None = None
 
-    def __post_init__(self) -> None:
-        """Measure the motion."""
+    @property
+    def motion(self) -> float:
+        """Rms of all measured channels in units of their noise: of joints' positions about their means.
+
+        The zero of an encoder means nothing. That of the other channels is rest.
+        """
         contest = self.contest
         used = contest.sigma > 0.0
-        self.motion = float(((contest.measured[..., used] / contest.sigma[used]) ** 2).mean().sqrt())
+        squares = ((contest.motion[..., used] / contest.sigma[used]) ** 2).sum()
+        return float((squares / contest.num_samples).sqrt())
 
 
 def prepare(case: BranchCase | JointCase, run: Run) -> Base:
@@ -85,27 +88,41 @@ def _fitted(case: BranchCase | JointCase, names: Sequence[str], seed: int) -> Ba
     noise = noise_of(case)
     sigma, force_sigma = pooled_sigma(case, noise), force_noise(case, noise)
     contest = Contest(case, [thinned(case, r) for r in recordings_of(case)], sigma, names)
-    fits = fit(contest, _best_mode(contest, seed), 3)
-    seen = noise_at_rest(contest, fits.batch)
-    if seen.spectrum:
-        contest.set_noise(seen.sigma)
-        fits = fit(contest, fits.batch, 3)
-    if isinstance(case, BranchCase) and force_sigma is not None:
-        colour(contest, fits.batch, force_sigma)
-        add_wood(contest, fits.batch)
-        fits = fit(contest, fits.batch, 3)
-        contest.overdispersion = overdispersion(contest, float(fits.chi2[0]))
-        fits = fit(contest, fits.batch, 4)
-    return Base(contest, fits, seen, force_sigma)
+    found = fit(contest, _modes(contest, seed), 3)
+    base = Base(contest, found.one(int(found.cost.argmin())), Noise(sigma), force_sigma)
+    settle(base)
+    return base
 
 
-def _best_mode(contest: Contest, seed: int) -> Batch:
-    """Return the base model at the highest mode of its posterior, a batch of one."""
+def settle(base: Base) -> None:
+    """Take the noise of channels and force, and the bending of wood, about the base as it is fitted, and refit it."""
+    contest, case = base.contest, base.contest.case
+    base.noise = noise_at_rest(contest, base.fit.batch)
+    if (base.noise.sigma != contest.sigma.cpu().numpy()).any():
+        contest.set_noise(base.noise.sigma)
+        base.fit = fit(contest, base.fit.batch, 3)
+    if isinstance(case, BranchCase) and base.force_sigma is not None:
+        colour(contest, base.fit.batch, base.force_sigma)
+        add_wood(contest, base.fit.batch)
+        base.fit = fit(contest, base.fit.batch, 3)
+        contest.overdispersion = overdispersion(contest, float(base.fit.chi2[0]))
+        base.fit = fit(contest, base.fit.batch, 4)
+
+
+def _modes(contest: Contest, seed: int) -> Batch:
+    """Return starts of the base: the best modes of its posterior, and the best with typical dampers.
+
+    A mode whose damper went to an end of its box may be no mode of the springs that it has.
+    """
     target = Target(contest.case, contest.recordings, contest.sigma.cpu())
     modes = find_modes(target, initial_vectors(target, STARTS, torch.Generator().manual_seed(seed)))
-    u, start, _ = target.split(modes.theta[modes.log_posterior.argmax()][None])
-    model = contest.base_batch(1)
+    of = representatives(modes)
+    order = [i for i in modes.log_posterior.argsort(descending=True).tolist() if of[i] == i][:MODES]
+    u, start, _ = target.split(modes.theta[[order[0], *order]])
+    model = contest.base_batch(len(u))
     model.free[:, : contest.num_base] = u
+    dampers = [k for k in range(contest.num_base) if contest.parameters[k].name.startswith("damping")]
+    model.free[0, dampers] = contest.centre[dampers]
     return Batch(model.free, model.active, start, model.weight)
 
 

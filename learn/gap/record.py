@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from ...sim.base.types import Array
-from ..inference.posterior import Posterior
 from .consistent import consistent
 from .decide import Decision, size
-from .diagnosis import Diagnosis, Gap, Rival, Where
-from .posterior import Intervals
+from .diagnosis import Diagnosis, Rival, Where
 from .prepare import Base
+from .repaired import Repaired
 from .run import Run
 from .search import Searched
 from .usable import different_plants, one_way
@@ -16,27 +15,28 @@ from .where import replicate_scatter, swing_of
 
 
 def record(
-    base: Base, searched: Searched, decision: Decision, run: Run, *, gap: Gap, ranking: tuple[Rival, ...],
-    posterior: Posterior | None, parameters: Intervals, noise: Array, outputs: tuple[Array, Array], where: Where,
-    next_experiment: str,
+    base: Base, searched: Searched, decision: Decision, run: Run, *, repaired: Repaired, ranking: tuple[Rival, ...],
+    noise: Array, where: Where, next_experiment: str,
 ) -> Diagnosis:  # fmt: skip
-    """Return the record of a diagnosis; ``outputs`` are those of the base model and of the repaired one.
+    """Return the record of a diagnosis.
 
     What its results do not bear out is no verdict: it becomes ``unknown`` with what is not understood (`consistent`).
     """
-    fitted, contest = searched.fitted, base.contest
-    case, recordings, base_values = contest.case, contest.recordings, fitted.values(fitted.base)
+    fitted, contest, gap = searched.fitted, base.contest, repaired.gap
+    case, recordings = contest.case, contest.recordings
     with run.timed("checks"):
         unusable = base.unusable or different_plants(fitted, decision.model)
     return consistent(Diagnosis(
         case=case, settings=run.settings, recordings=recordings, sigma=noise, verdict=decision.verdict,
-        sentence="", effects=decision.named, parameters=parameters, alternatives=decision.alternatives,
+        sentence="", effects=decision.named, parameters=repaired.parameters, alternatives=decision.alternatives,
         nearest=decision.nearest, where=where, gap=gap, ranking=ranking, explained=fitted.explained(decision.model),
         base_reduced_chi2=fitted.reduced_chi2(fitted.base), motion=base.motion, p_null=searched.p_value,
-        base_output=outputs[0], best_output=outputs[1], base_values=base_values,
-        best_values=fitted.values(decision.final), next_experiment=next_experiment, posterior=posterior,
+        base_output=repaired.base_output, best_output=repaired.output, base_values=repaired.base_values,
+        best_values=repaired.values, next_experiment=next_experiment, model=repaired.model,
+        implausible=repaired.implausible, posterior=repaired.posterior,
         world_steps=contest.world_steps, seconds=run.seconds, tried=fitted.labels(decision.final),
         size=size(fitted, decision.model, base.motion), unusable=unusable,
         swing=swing_of(case, recordings, gap.test or range(len(recordings))),
-        scatter=replicate_scatter(case, recordings), remarks=one_way(case, recordings, base_values),
+        scatter=replicate_scatter(case, recordings), remarks=one_way(case, recordings, fitted.values(fitted.base)),
+        unstable=decision.unstable,
     ))  # fmt: skip

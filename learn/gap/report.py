@@ -45,7 +45,9 @@ _READ = {"m": (100.0, "cm"), "rad": (math.degrees(1.0), "deg"), "rad_per_s": (ma
 
 def content(diagnosis: Diagnosis, *, drawn: bool = True) -> ReportContent:
     """Return what the report page shows; without ``drawn`` no figures."""
-    with_model = isinstance(diagnosis.case, BranchCase)  # a mechanism of joints has no model file
+    known = (
+        "simulate, identify, forest and train" if isinstance(diagnosis.case, BranchCase) else "simulate and identify"
+    )
     return ReportContent(
         title=f"Diagnosis of {diagnosis.case.name}",
         headline=diagnosis.sentence,
@@ -57,11 +59,7 @@ def content(diagnosis: Diagnosis, *, drawn: bool = True) -> ReportContent:
         details=_details(diagnosis),
         further=[
             (VERDICT, "the verdict for programs"),
-            *(
-                [("model.yaml", "the repaired model, for --model of simulate, identify, forest and train")]
-                if with_model
-                else []
-            ),
+            ("model.yaml", f"the repaired model, for --model of {known}"),
             ("docs/diagnose.md", "how to read this page and how it is computed"),
             ("docs/effects.md", "the law of each effect"),
         ],
@@ -119,7 +117,8 @@ def _effects(d: Diagnosis) -> list[KeyNumber]:
         for name, i in d.parameters.get(acting.label, {}).items():
             row = ParameterRow(name, i.median, i.low, i.high, i.unit)
             low, high = (number(x, row.digits) for x in (i.low, i.high))
-            why = f"95 % interval {low} to {high}{law}."
+            end = f", at the {i.at_bound} end of its box" if i.at_bound else ""
+            why = f"95 % interval {low} to {high}{end}{law}."
             unit = "" if i.unit == "1" else i.unit
             out.append(KeyNumber(f"{acting.label} {bare(name)}", number(i.median, row.digits), unit, why))
             law = ""
@@ -148,6 +147,10 @@ def _advice(d: Diagnosis) -> list[KeyNumber]:
     if d.verdict == "unknown":
         name = f"{d.nearest}, which is not claimed." if d.nearest else "None."
         out.append(KeyNumber("Nearest candidate", "", "", name))
+    out += [KeyNumber("Unstable", "", "", f"{line}.") for line in d.unstable]
+    if d.fit:
+        other = f" The other way: --fit {d.fit['other']}." if d.fit["other"] else ""
+        out.append(KeyNumber("Fitted", d.fit["method"], "", f"{d.fit['reason']}.{other}"))
     return [*out, KeyNumber("Next probe", "", "", d.next_experiment)]
 
 

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import torch
-
 from .decide import Decision
 from .diagnosis import Rival
-from .models.contest import Batch, Contest
 from .models.fitted import FittedModels, Model
-from .models.refit import Fits, fit
+from .models.left_out import left_out_chi2, profiles
 
-#: Models in the ranking, and steps of a refit with one profile left out.
-RANKED, REFIT = 12, 4
+#: Models in the ranking.
+RANKED = 12
 
 
 def rank(fitted: FittedModels, decision: Decision) -> tuple[Rival, ...]:
@@ -49,30 +44,5 @@ def _cross_validated(fitted: FittedModels, model: Model) -> dict[int, float]:
         return {}
     rivals = [m for m in fitted.of_size(len(model.members)) if m.members != model.members]
     tried = [model, *rivals[:1], fitted.base]
-    chi2 = left_out_chi2(fitted.contest, [m.fit for m in tried], groups).sum(1) / fitted.contest.num_samples
+    chi2 = left_out_chi2(fitted.contest, tried, groups).sum(1) / fitted.contest.num_samples
     return {id(m): float(x) for m, x in zip(tried, chi2, strict=True)}
-
-
-def profiles(contest: Contest) -> list[list[int]]:
-    """Return groups of recordings that are replicates of one experiment."""
-    groups: dict[int, list[int]] = {}
-    for i, t in enumerate(contest.case.trajectories):
-        groups.setdefault(i if t.replicate_of is None else t.replicate_of, []).append(i)
-    return list(groups.values())
-
-
-def left_out_chi2(contest: Contest, models: Sequence[Fits], groups: Sequence[Sequence[int]]) -> torch.Tensor:
-    """Return chi-squared in each group by models [S] that were refitted without it, shape [S, G]."""
-    batches = []
-    for model in models:
-        for group in groups:
-            weight = model.batch.weight.clone()
-            weight[:, list(group)] = 0.0
-            batches.append(Batch(model.batch.free, model.batch.active, model.batch.start, weight))
-    fitted = fit(contest, Batch.joined(batches), REFIT)
-    full = Batch(fitted.batch.free, fitted.batch.active, fitted.batch.start, torch.ones_like(fitted.batch.weight))
-    residual = contest.residual(full)
-    if len(contest.nuisance):
-        residual = residual - (fitted.nuisance @ contest.nuisance).view_as(residual)
-    by_recording = (residual**2).sum((-1, -2)).view(len(models), len(groups), -1)
-    return torch.stack([by_recording[:, g, list(group)].sum(-1) for g, group in enumerate(groups)], 1)

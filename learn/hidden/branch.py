@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -16,7 +17,12 @@ TRUNK_PIVOT = 1.0
 
 @dataclass
 class Branch:
-    """Geometry and springs of R segments, base first; SI units, angles in degrees."""
+    """Geometry and springs of R segments, base first; SI units, angles in degrees.
+
+    A segment may be an arc over its chord, which ``length`` and the angles are of, and no frustum: ``bend`` is the turn
+    of its axis from its lower end to its upper one, about two axes across it [rad], [R, 2]; ``swell`` are factors of
+    its radius at points that divide it evenly, [R, any number]. Empty: straight frusta.
+    """
 
     length: list[float]
     radius_base: list[float]
@@ -29,6 +35,8 @@ class Branch:
     grasp_distance: float
     gravity: float = 9.81
     names: list[str] = field(default_factory=list)
+    bend: list[list[float]] = field(default_factory=list)
+    swell: list[list[float]] = field(default_factory=list)
 
     def axes(self) -> Array:
         """Return the unit axes of the segments in the rest pose, shape [R, 3]."""
@@ -41,12 +49,33 @@ class Branch:
         return np.cumsum(steps, axis=0) - steps
 
     def grasp(self) -> Array:
-        """Grasp point in the rest pose [m], shape [3]; it lies on the last segment."""
+        """Grasp point in the rest pose [m], shape [3]; it lies on the last segment's chord."""
         return self.joints()[-1] + self.axes()[-1] * self.grasp_distance
+
+    def links(self, segment: int, count: int) -> tuple[Array, Array]:
+        """Cut a segment into links: their steps from end to end [m], shape [count, 3], and end radii, [count + 1]."""
+        radii = np.linspace(self.radius_base[segment], self.radius_tip[segment], count + 1)
+        if self.swell:
+            factors = self.swell[segment]
+            radii = radii * np.interp(np.linspace(0, 1, count + 1), np.linspace(0, 1, len(factors)), factors)
+        steps = np.tile(self.axes()[segment] / count, (count, 1))
+        if self.bend:
+            frame = across(self.axes()[segment])
+            turns = ((np.arange(count) + 0.5) / count - 0.5)[:, None] * np.array(self.bend[segment])
+            steps = Rotation.from_rotvec(turns @ frame[:2]).apply(self.axes()[segment]) / count
+            chord = steps.sum(axis=0)  # an arc that is even about its middle: along the chord, and shorter than one
+            steps = steps / np.linalg.norm(chord)
+        return self.length[segment] * steps, radii
 
     def mass(self) -> Array:
         """Masses of the frusta [kg], shape [R]."""
         return frustum_mass(np.array(self.length), self.radius_base, self.radius_tip, self.density)
+
+
+def across(axis: Array) -> Array:
+    """Rows: a horizontal axis across the segment, the one across both, the segment's own."""
+    side = unit(np.cross([0.0, 0.0, 1.0], axis)) if abs(axis[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
+    return np.array([side, np.cross(axis, side), axis])
 
 
 def frustum_mass(length: Any, a: ArrayLike, b: ArrayLike, density: float) -> Any:

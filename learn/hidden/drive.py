@@ -78,7 +78,7 @@ def drive(
     clock = np.zeros(len(forces)) if clock is None else clock
     made = _assemble(branch, parts, options)
     laws = [part.law() for part in parts if part.law]
-    windy = any(part.wind is not None for part in parts)
+    windy = any(part.settled or part.wind is not None for part in parts)
     if not laws:
         return _by_mujoco(made, forces, rate, _rested(made, [], 1)[0] if windy else made.data)
     if not any(law.lasting for law in laws):
@@ -89,7 +89,8 @@ def drive(
 def _assemble(branch: Branch, parts: Sequence[Part], options: dict[str, Any]) -> Rig:
     """Compile the branch with all that changes its structure."""
     trunk = next((part.trunk for part in parts if part.trunk), None)
-    made = rig(branch, trunk=trunk, tip_mass=sum(part.tip_mass for part in parts), **options)
+    twig = tuple(ball for part in parts for ball in part.twig)
+    made = rig(branch, trunk=trunk, tip_mass=sum(part.tip_mass for part in parts), twig=twig, **options)
     blows = any(part.wind is not None for part in parts)
     made.model.opt.density = max(AIR if blows else 0.0, *(part.density for part in parts), 0.0)
     for part in parts:
@@ -105,7 +106,7 @@ def _thinned(model: Any) -> float:
 
 def between(forces: Array, rate: float, dt: float) -> tuple[Array, int, float]:
     """Return forces in the middle of each step [N, S, 3], steps per sample, and the step [s]: at most about ``dt``."""
-    steps = round(1 / (rate * dt))
+    steps = max(1, round(1 / (rate * dt)))
     samples = forces.shape[1]
     # One more step so that the sensors see the last sample.
     middle = (np.arange((samples - 1) * steps + 1) + 0.5) / steps
@@ -189,7 +190,7 @@ def _stepped(
         for law in laws:
             law.begin(now)
     held, wind = now.rig.held, model.opt.wind.copy()
-    inputs = [(data, data.ctrl, data.qfrc_applied, data.xfrc_applied[held, 3:]) for data in datas]
+    inputs = [(d, d.ctrl, d.qfrc_applied, d.xfrc_applied[held, 3:], d.xfrc_applied[:, :3]) for d in datas]
     thinned = _thinned(model) if gusts else 0.0
     for n in range(control.shape[1]):
         now.time, now.force = clock + n * now.step, control[:, n]
@@ -205,8 +206,8 @@ def _stepped(
         for law in laws:
             law.act(now)
         push = now.push + now.force
-        for k, (data, control_k, torque, couple) in enumerate(inputs):
-            control_k[:], torque[:], couple[:] = push[k], now.torque[k], now.couple[k]
+        for k, (data, control_k, torque, couple, wash) in enumerate(inputs):
+            control_k[:], torque[:], couple[:], wash[:] = push[k], now.torque[k], now.couple[k], now.wash[k]
             mujoco.mj_step2(model, data)
     for k, data in enumerate(datas):
         if any(data.warning[kind].number for kind in _astray(mujoco)):

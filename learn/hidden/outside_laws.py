@@ -273,3 +273,116 @@ RECIPES = {
     "clock_jitter": clock_jitter,
     "displacement_saturation": displacement_saturation,
 }
+
+
+@dataclass
+class HangingMass(Law):
+    """A mass on a spring and a damper beside the grasp point, as of a fruit or a lamp: it swings by itself.
+
+    Attributes:
+        mass: [kg].
+        frequency: Of the mass on its spring [Hz].
+        ratio: Of damping to critical.
+    """
+
+    mass: float
+    frequency: float
+    ratio: float
+    fading = True
+
+    def begin(self, now: Now) -> None:
+        """Bring the mass to rest."""
+        self._place, self._speed = now.moved, np.zeros((len(now.datas), 3))
+
+    def act(self, now: Now) -> None:
+        """Pull at the grasp point, and let the mass move on (semi-implicit)."""
+        w = 2 * np.pi * self.frequency
+        pull = w * w * (now.moved - self._place) + 2 * self.ratio * w * (now.velocity - self._speed)
+        self._speed = self._speed + now.step * pull
+        self._place = self._place + now.step * self._speed
+        now.push -= self.mass * pull
+
+
+@dataclass
+class PlaceDamper(Law):
+    """A damper that grows with the joint's angle, as of a sleeve that tightens: torque -c |phi| w.
+
+    Attributes:
+        joint: Segment whose lower joint it is.
+        damping: c [N m s/rad^2].
+    """
+
+    joint: int
+    damping: float
+
+    def act(self, now: Now) -> None:
+        """Add the torque."""
+        size = np.sqrt((now.angle(self.joint) ** 2).sum(axis=1, keepdims=True))
+        now.twist(self.joint, -self.damping * size * now.rate(self.joint))
+
+
+def hanging_mass(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a mass that swings beside the grasp point; the strength is its share of the branch's mass."""
+    whole, frequency, ratio = (
+        float(scale.branch.mass().sum()),
+        float(rng.uniform(0.8, 4)),
+        float(rng.uniform(0.02, 0.2)),
+    )
+
+    def make(strength: float) -> Part:
+        mass = strength * whole
+        params = {"mass_kg": mass, "frequency_Hz": frequency, "damping_ratio": ratio}
+        return Part(params, law=lambda: HangingMass(mass, frequency, ratio))
+
+    return Draft(make, 0.01, 0.2, 3.0)
+
+
+def place_damping(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a damper that grows with the angle; the strength is its torque at the largest angle and rate over K's."""
+    size = scale.torque(joint) / float(scale.angle[joint] * scale.rate[joint])
+
+    def make(strength: float) -> Part:
+        value = strength * size
+        return Part({"damping_Nmsprad2": value}, joint, lambda: PlaceDamper(joint, value))
+
+    return Draft(make, 0.02, 0.6, 20.0)
+
+
+def cross_talk(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a force sensor whose channels leak into one another; the strength is the largest leak."""
+    leak = rng.uniform(-1, 1, (3, 3)) * (1 - np.eye(3))
+    leak /= np.abs(leak).max()
+
+    def make(strength: float) -> Part:
+        mixed = np.eye(3) + strength * leak
+        return Part({"leak": (strength * leak).tolist()},
+                    sense=lambda seen: seen.but(force=seen.force @ mixed.T))  # fmt: skip
+
+    return Draft(make, 0.01, 0.2, 0.9)
+
+
+def dropouts(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a camera that now and then repeats its last reading; the strength is the longest such spell over T."""
+    count = 6
+    start, part = rng.uniform(0, 1, (len(scale.clock), count)), rng.uniform(0.3, 1.0, (len(scale.clock), count))
+
+    def make(strength: float) -> Part:
+        def sense(seen: Readings) -> Readings:
+            now = np.arange(len(seen.time))
+            since = now[:, None] / len(now) - start[:, None]
+            stale = ((since > 0) & (since < strength * part[:, None])).any(axis=-1)
+            at, row = np.maximum.accumulate(np.where(stale, 0, now), axis=1), np.arange(len(start))[:, None]
+            return seen.but(moved=seen.moved[row, at], velocity=seen.velocity[row, at])
+
+        return Part({"spell": strength}, sense=sense)
+
+    return Draft(make, 0.01, 0.1, 0.6)
+
+
+#: More of them, for exams with other forms.
+MORE = {
+    "hanging_mass": hanging_mass,
+    "place_damping": place_damping,
+    "cross_talk": cross_talk,
+    "dropouts": dropouts,
+}

@@ -26,6 +26,7 @@ class Now:
         push: Force added at the grasp point [N], shape [N, 3].
         couple: Torque added to the link that is held, world axes [N m], shape [N, 3].
         torque: Torques added at all degrees of freedom [N m], shape [N, nv].
+        wash: Forces added at the centres of all bodies [N], shape [N, bodies, 3].
     """
 
     def __init__(self, rig: Rig, datas: list[Any], step: float) -> None:
@@ -33,6 +34,7 @@ class Now:
         self.time, self.force = np.zeros(len(datas)), np.zeros((len(datas), 3))
         self.push, self.couple = np.zeros((len(datas), 3)), np.zeros((len(datas), 3))
         self.torque = np.zeros((len(datas), rig.model.nv))
+        self.wash = np.zeros((len(datas), rig.model.nbody, 3))
         self._origin = rig.data.sensordata[:3].copy()
         self._poses = [[d.qpos[4 * j : 4 * j + 4] for d in datas] for j in rig.joints]
         self._rates = [[d.qvel[3 * j : 3 * j + 3] for d in datas] for j in rig.joints]
@@ -56,7 +58,7 @@ class Now:
 
     def clear(self) -> None:
         """Take away what the laws have added."""
-        for added in (self.push, self.couple, self.torque):
+        for added in (self.push, self.couple, self.torque, self.wash):
             added.fill(0.0)
 
     @property
@@ -98,7 +100,7 @@ class Law:
         """Start a recording: fading memory is reset."""
 
     def act(self, now: Now) -> None:
-        """Add to ``now.push``, ``now.couple`` or, by `Now.twist`, torques."""
+        """Add to ``now.push``, ``now.couple``, ``now.wash`` or, by `Now.twist`, torques."""
 
     def beside(self, now: Now) -> Array | float:
         """Where the point that is held lies from the marked one [m], and how it moves there [m/s], shape [N, 6]."""
@@ -145,6 +147,8 @@ class Part:
         wind: Steady velocity of the air [m/s], shape [3].
         trunk: A base that gives way.
         tip_mass: Extra mass at the tip [kg].
+        twig: More masses that move with the tip, see `rig.build`.
+        settled: The branch rests where its law brings it.
     """
 
     params: Mapping[str, Any]
@@ -155,6 +159,8 @@ class Part:
     wind: Array | None = None
     trunk: Trunk | None = None
     tip_mass: float = 0.0
+    twig: tuple[tuple[Array, float], ...] = ()
+    settled: bool = False
 
     @property
     def moves(self) -> bool:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,17 @@ from ...sim.base.errors import InputError
 from ...sim.base.files import output_folder
 from .branch import TRUNK_PIVOT, Array, Branch, random_branch, unit
 from .drive import Motion, drive
+from .measurement import HARD, Hard, measured, mounting, noise, shaped
 from .parts import Readings
 
 HEADER = "t_s,fx_N,fy_N,fz_N,x_m,y_m,z_m,vx_mps,vy_mps,vz_mps"
 PROFILES = ("ramp_hold_return", "pull_release", "triangle_bothways", "sweep", "steps", "pull_release")
 QUIET = 0.25
+#: Other profiles, in any order, and their sampling rates [Hz] with how often each is taken.
+HARD_PROFILES = ("ramp", "chirp", "step_release", "pseudo_random", "circle", "sines")
+HARD_RATES = ((50.0, 100.0, 200.0, 500.0), (0.4, 0.3, 0.2, 0.1))
+#: Samples of a recording, and the most of them.
+SAMPLES, MOST_SAMPLES = 110, 2000
 
 
 def shape(profile: str, t: Array, duration: float, rng: np.random.Generator) -> Array:
@@ -42,6 +49,34 @@ def shape(profile: str, t: Array, duration: float, rng: np.random.Generator) -> 
     return np.interp(x / (0.88 * duration - QUIET), knots, [0, 0.35, 0.35, 0.7, 0.7, 1, 1, -0.4, -0.4, 0])
 
 
+def hard_shape(profile: str, t: Array, duration: float, rng: np.random.Generator) -> Array:
+    """Force history of one of `HARD_PROFILES` along two axes, zero until ``QUIET`` and at the end, shape [T, 2]."""
+    x, span = t - QUIET, duration - 2 * QUIET
+    u = np.clip(x / span, 0, 1)
+    taper = np.minimum(1, 6 * np.minimum(u, 1 - u))
+    aside = np.zeros_like(t)
+    if profile == "ramp":
+        return np.stack([np.interp(u, [0, 0.6, 0.75, 0.8], [0, 1, 1, 0]), aside], axis=1)
+    if profile == "chirp":
+        low, high = rng.uniform(0.2, 0.4), rng.uniform(2.0, 4.0)
+        phase = 2 * np.pi * low * span * ((high / low) ** u - 1) / np.log(high / low)
+        return np.stack([0.35 * taper * np.sin(phase), aside], axis=1)
+    if profile == "step_release":
+        off = rng.uniform(0.4, 0.6)
+        return np.stack([np.where(u < off, np.minimum(1, x.clip(0) / 0.06), 0.0), aside], axis=1)
+    if profile == "pseudo_random":
+        knots = np.cumsum(rng.uniform(0.15, 0.5, 60))
+        level = rng.choice([-0.5, 0.0, 0.5], 60)
+        edges = np.stack([knots, knots + 0.04], axis=1).ravel()
+        held = np.stack([np.r_[0.0, level[:-1]], level], axis=1).ravel()
+        return np.stack([taper * np.interp(x, edges, held), aside], axis=1)
+    if profile == "circle":
+        turns = 2 * np.pi * rng.uniform(0.4, 1.0) * x
+        return np.asarray(0.6 * taper[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=1))
+    sines = np.sin(2 * np.pi * rng.uniform(0.3, 3.0, 5) * x[:, None] + rng.uniform(0, 2 * np.pi, 5))
+    return np.stack([taper * sines.mean(axis=1), aside], axis=1)
+
+
 def peak_force(branch: Branch, direction: Array, reach: float) -> float:
     """Force [N] along ``direction`` that the linear springs answer with a grasp displacement of ``reach`` [m]."""
     lever = np.cross(branch.grasp() - branch.joints(), direction)
@@ -60,14 +95,19 @@ def _directions(branch: Branch, rng: np.random.Generator, count: int) -> list[Ar
     return out
 
 
-def plan(branch: Branch, rng: np.random.Generator, t: Array, reach: float) -> list[dict[str, Any]]:
+def plan(branch: Branch, rng: np.random.Generator, t: Array, reach: float, hard: bool = False) -> list[dict[str, Any]]:
     """Six probes and replicates of the first two, each with its true force [T, 3]; ``reach`` in m."""
     duration, clock, out = float(t[-1]), float(rng.uniform(0, 3)), []
-    for profile, direction in zip(PROFILES, _directions(branch, rng, len(PROFILES)), strict=True):
-        history = shape(profile, t, duration, rng)
-        force = peak_force(branch, direction, reach * rng.uniform(0.85, 1.1)) * history[:, None] * direction
+    profiles = rng.permutation(HARD_PROFILES).tolist() if hard else PROFILES
+    for profile, direction in zip(profiles, _directions(branch, rng, len(PROFILES)), strict=True):
+        history = (hard_shape if hard else shape)(profile, t, duration, rng)
+        size = reach * rng.uniform(0.85, 1.1)
+        force = peak_force(branch, direction, size) * history.reshape(len(t), -1)[:, :1] * direction
+        if history.ndim > 1 and history[:, 1].any():
+            side = unit(np.cross(direction, unit(branch.grasp())))
+            force = force + peak_force(branch, side, size) * history[:, 1:] * side
         # Linear between samples: zero only from the first sample at zero on.
-        last = int(np.flatnonzero(np.abs(history) > 1e-12).max())
+        last = int(np.flatnonzero(np.abs(force).max(axis=1) > 1e-12).max())
         spans = [[0.0, QUIET], [float(t[last + 1]), duration]] if last + 1 < len(t) else [[0.0, QUIET]]
         out.append({"profile": profile, "direction": direction.round(6).tolist(), "replicate_of": None,
                     "no_contact": spans, "force": force})  # fmt: skip
@@ -102,18 +142,34 @@ class Experiment:
     Attributes:
         rng: Source of what is random; the noise is drawn from it last.
         branch: The branch.
+        measured: The branch as ``meta.yaml`` has it.
+        mounting: How the sensors sit, None as they should.
+        noise: What the noise is like, None for white noise.
         rate: Sampling rate [Hz].
         time: Times of the samples [s], shape [T].
         recordings: What ``meta.yaml`` says of each recording.
         forces: True forces [N], shape [N, T, 3].
     """
 
-    def __init__(self, seed: int, segments: int, rate: float | None, samples: int, reach: float) -> None:
+    def __init__(
+        self, seed: int, segments: int, rate: float | None, samples: int | None, reach: float, hard: Sequence[Hard] = ()
+    ) -> None:
         self.seed, self.rng = seed, np.random.default_rng(seed)
-        self.branch = random_branch(self.rng, segments)
-        self.rate = rate or float(self.rng.choice([20.0, 25.0, 40.0]))
-        self.time = np.arange(samples) / self.rate
-        self.recordings = plan(self.branch, self.rng, self.time, reach * sum(self.branch.length))
+        harder = {kind: np.random.default_rng([seed, 23, k]) for k, kind in enumerate(HARD)}
+        branch = random_branch(self.rng, segments)
+        self.branch = shaped(branch, harder["shape"]) if "shape" in hard else branch
+        straight = replace(self.branch, bend=[], swell=[])
+        self.measured = measured(straight, harder["geometry"]) if "geometry" in hard else straight
+        self.mounting = mounting(harder["sensors"]) if "sensors" in hard else None
+        drawn = float(self.rng.choice([20.0, 25.0, 40.0])) if rate is None else rate
+        if "probes" in hard:
+            drawn = rate or float(harder["probes"].choice(HARD_RATES[0], p=HARD_RATES[1]))
+            samples = samples or min(MOST_SAMPLES, round(drawn * harder["probes"].uniform(3.0, 5.0)))
+        self.rate = drawn
+        self.noise = noise(harder["noise"], self.rate) if "noise" in hard else None
+        self.time = np.arange(samples or SAMPLES) / self.rate
+        wide = reach * sum(self.branch.length)
+        self.recordings = plan(self.branch, self.rng, self.time, wide, "probes" in hard)
         self.forces = np.stack([r.pop("force") for r in self.recordings])
 
     @property
@@ -131,11 +187,15 @@ class Experiment:
         return out
 
     def noisy(self, seen: Readings, noise: float) -> tuple[Array, list[float]]:
-        """Return readings with white noise, force, displacement, velocity [N, T, 9], and its deviations [N, m, m/s]."""
+        """Return noisy readings, force, displacement, velocity [N, T, 9], and the noise's deviations [N, m, m/s]."""
         clean = (seen.force, seen.moved, seen.velocity)
         rms = [float(np.sqrt(np.mean(np.sum(c**2, axis=-1)) / 3)) for c in clean]
         sigma = [noise / 2 * rms[0], noise * rms[1], noise * rms[2]]
-        noisy = [c + s * self.rng.normal(size=c.shape) for c, s in zip(clean, sigma, strict=True)]
+        if self.noise is None:
+            noisy = [c + s * self.rng.normal(size=c.shape) for c, s in zip(clean, sigma, strict=True)]
+        else:
+            law, drawn = self.noise, [self.noise.draw(self.rng, c.shape) for c in clean]
+            noisy = [law.rounded(c + s * d, s) for c, s, d in zip(clean, sigma, drawn, strict=True)]
         return np.concatenate(noisy, axis=-1), sigma
 
 
@@ -226,7 +286,7 @@ def truth(
 
 
 def _meta(experiment: Experiment, noise: float) -> dict[str, Any]:
-    branch, axes = experiment.branch, experiment.branch.axes()
+    branch, axes = experiment.measured, experiment.measured.axes()
     forks = np.degrees(np.arccos(np.clip((axes[1:] * axes[:-1]).sum(axis=1), -1, 1)))
     columns = zip(
         branch.names, branch.length, branch.radius_base, branch.radius_tip, branch.elevation, branch.azimuth,

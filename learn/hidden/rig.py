@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .branch import TRUNK_PIVOT, Array, Branch, frustum_mass, unit
+from .branch import TRUNK_PIVOT, Array, Branch, across, frustum_mass
 
 
 def engine() -> tuple[ModuleType, ModuleType]:
@@ -26,11 +26,21 @@ def engine() -> tuple[ModuleType, ModuleType]:
 
 @dataclass(frozen=True)
 class Trunk:
-    """A post on a ball joint `TRUNK_PIVOT` below the base: its spring [N m/rad], damper [N m s/rad] and mass [kg]."""
+    """A post of so many equal parts, each on a ball joint, the lowest so far below the base.
+
+    Attributes:
+        stiffness: Of each joint's spring [N m/rad].
+        damping: Of each joint [N m s/rad].
+        mass: Of the post [kg].
+        depth: Of the lowest joint below the base [m].
+        parts: Number of parts.
+    """
 
     stiffness: float
     damping: float
     mass: float
+    depth: float = TRUNK_PIVOT
+    parts: int = 1
 
 
 @dataclass(frozen=True)
@@ -66,6 +76,7 @@ def build(
     dt: float = 2.5e-4,
     trunk: Trunk | None = None,
     tip_mass: float = 0.0,
+    twig: tuple[tuple[Array, float], ...] = (),
 ) -> tuple[Any, Any]:
     """Compile a branch: (MjModel, MjData at rest).
 
@@ -78,9 +89,11 @@ def build(
         dt: Step [s].
         trunk: A trunk that gives way, if the base is not fixed.
         tip_mass: Mass of a small ball at the upper end of the last segment [kg].
+        twig: Places from there in the rest pose [m] and masses [kg] of small balls that move with it.
     """
     mujoco, _ = engine()
-    model = mujoco.MjModel.from_xml_string(_mjcf(branch, sub if wood else -sub, dt, trunk, tip_mass))
+    balls = (*(((np.zeros(3), tip_mass),) if tip_mass > 0 else ()), *twig)
+    model = mujoco.MjModel.from_xml_string(_mjcf(branch, sub if wood else -sub, dt, trunk, balls))
     stiff, damp = _springs(branch, sub if wood else 1, wood, trunk)
     model.jnt_stiffness[:] = stiff
     model.dof_damping[:] = np.repeat(damp, 3)
@@ -103,32 +116,27 @@ def _springs(branch: Branch, sub: int, wood: float, trunk: Trunk | None) -> tupl
     factor = np.where(inside, (sub - 1) / wood if wood else 1.0, 1.0)
     stiff, damp = stiff * factor, damp * factor
     if trunk:
-        stiff, damp = np.r_[trunk.stiffness, stiff], np.r_[trunk.damping, damp]
+        stiff = np.r_[[trunk.stiffness] * trunk.parts, stiff]
+        damp = np.r_[[trunk.damping] * trunk.parts, damp]
     return stiff, damp
 
 
-def rig(branch: Branch, *, sub: int = 3, wood: float = 0.08, trunk: Trunk | None = None, **options: float) -> Rig:
+def rig(branch: Branch, *, sub: int = 3, wood: float = 0.08, trunk: Trunk | None = None, **options: Any) -> Rig:
     """Compile a branch and note where its segments' joints are; options are those of `build`."""
     model, data = build(branch, sub=sub, wood=wood, trunk=trunk, **options)
-    joints = np.arange(len(branch.length), dtype=np.int64) * (sub if wood else 1) + (trunk is not None)
-    return Rig(branch, model, data, joints, np.array([_frame(axis) for axis in branch.axes()]))
+    joints = np.arange(len(branch.length), dtype=np.int64) * (sub if wood else 1) + (trunk.parts if trunk else 0)
+    return Rig(branch, model, data, joints, np.array([across(axis) for axis in branch.axes()]))
 
 
-def _frame(axis: Array) -> Array:
-    """Rows: a horizontal axis across the segment, the one across both, the segment's own."""
-    side = unit(np.cross([0.0, 0.0, 1.0], axis)) if abs(axis[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
-    return np.array([side, np.cross(axis, side), axis])
-
-
-def _mjcf(branch: Branch, sub: int, dt: float, trunk: Trunk | None, tip_mass: float) -> str:
+def _mjcf(branch: Branch, sub: int, dt: float, trunk: Trunk | None, balls: tuple[tuple[Array, float], ...]) -> str:
     """Nested bodies in world orientation: at joint zero every frame is parallel to the world's."""
-    base = _post(trunk) if trunk else ""
-    body, close, offset = base, "</body>" if base else "", np.array([0.0, 0.0, TRUNK_PIVOT if base else 0.0])
-    for i, axis in enumerate(branch.axes()):
-        links, offset = _segment(branch, i, axis, offset, sub, i == len(branch.length) - 1)
+    body, close, offset = _post(trunk) if trunk else ("", "", np.zeros(3))
+    for i in range(len(branch.length)):
+        links, offset = _segment(branch, i, offset, sub, i == len(branch.length) - 1)
         body, close = body + links, close + "</body>" * abs(sub)
-    if tip_mass > 0:
-        body += f'<body pos="{_text(offset)}"><geom type="sphere" size="0.004" mass="{tip_mass:.17g}" {_FREE}/></body>'
+    for place, mass in balls:
+        at = _text(offset + place)
+        body += f'<body pos="{at}"><geom type="sphere" size="0.004" mass="{mass:.17g}" {_FREE}/></body>'
     motors = "".join(
         f'<general site="grasp" refsite="world" gear="{gear} 0 0 0"/>' for gear in ("1 0 0", "0 1 0", "0 0 1")
     )
@@ -142,30 +150,33 @@ def _mjcf(branch: Branch, sub: int, dt: float, trunk: Trunk | None, tip_mass: fl
 _FREE = 'contype="0" conaffinity="0"'
 
 
-def _post(trunk: Trunk) -> str:
-    radius = 0.03
-    return (
-        f'<body pos="0 0 {-TRUNK_PIVOT!r}"><joint type="ball"/><geom type="cylinder" '
-        f'fromto="0 0 0 0 0 {TRUNK_PIVOT!r}" size="{radius!r}" mass="{trunk.mass:.17g}" {_FREE}/>'
+def _post(trunk: Trunk) -> tuple[str, str, Array]:
+    """Open the bodies of a trunk: their text, the text that closes them, and the offset of what follows."""
+    radius, part = 0.03, trunk.depth / trunk.parts
+    text = "".join(
+        f'<body pos="0 0 {(part if k else -trunk.depth)!r}"><joint type="ball"/><geom type="cylinder" '
+        f'fromto="0 0 0 0 0 {part!r}" size="{radius!r}" mass="{trunk.mass / trunk.parts:.17g}" {_FREE}/>'
+        for k in range(trunk.parts)
     )
+    return text, "</body>" * trunk.parts, np.array([0.0, 0.0, part])
 
 
-def _segment(branch: Branch, i: int, axis: Array, offset: Array, sub: int, last: bool) -> tuple[str, Array]:
+def _segment(branch: Branch, i: int, offset: Array, sub: int, last: bool) -> tuple[str, Array]:
     """Open the bodies of one segment, welded together if ``sub`` is negative; the offset of what follows."""
     count, text = abs(sub), ""
-    step = branch.length[i] / count
-    radii = np.linspace(branch.radius_base[i], branch.radius_tip[i], count + 1)
-    holds = min(int(branch.grasp_distance / step), count - 1) if last else -1
-    for j in range(count):
-        mass = frustum_mass(step, radii[j], radii[j + 1], branch.density)
+    steps, radii = branch.links(i, count)
+    at = branch.grasp_distance / branch.length[i] * count
+    holds = min(int(at), count - 1) if last else -1
+    for j, step in enumerate(steps):
+        mass = frustum_mass(float(np.linalg.norm(step)), radii[j], radii[j + 1], branch.density)
         joint = '<joint type="ball"/>' if j == 0 or sub > 0 else ""
         text += (
-            f'<body pos="{_text(offset)}">{joint}<geom type="cylinder" fromto="0 0 0 {_text(axis * step)}" '
+            f'<body pos="{_text(offset)}">{joint}<geom type="cylinder" fromto="0 0 0 {_text(step)}" '
             f'size="{(radii[j] + radii[j + 1]) / 2:.17g}" mass="{mass:.17g}" {_FREE}/>'
         )
         if j == holds:
-            text += f'<site name="grasp" pos="{_text(axis * (branch.grasp_distance - j * step))}"/>'
-        offset = axis * step
+            text += f'<site name="grasp" pos="{_text(step * (at - j))}"/>'
+        offset = step
     return text, offset
 
 

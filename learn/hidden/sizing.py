@@ -120,7 +120,9 @@ def _slope(a: tuple[float, float, Part], b: tuple[float, float, Part]) -> float:
     return float(np.clip(np.log(b[1] / a[1]) / np.log(b[0] / a[0]), 0.3, 3.0))
 
 
-def visible_gap(experiment: Experiment, seen: Readings, options: dict[str, Any], rounds: int = 3) -> float:
+def visible_gap(
+    experiment: Experiment, seen: Readings, options: dict[str, Any], rounds: int = 3, branch: Branch | None = None
+) -> float:
     """Return the rms misfit of displacement that is left when K and D are refitted, over the rms of the motion.
 
     Gauss-Newton in the logarithms of all springs and dampers, without noise and with the recorded force. Derivatives
@@ -131,16 +133,18 @@ def visible_gap(experiment: Experiment, seen: Readings, options: dict[str, Any],
         seen: What the sensors say, without noise.
         options: Options of `rig.build`.
         rounds: Steps.
+        branch: The branch whose springs are refitted; the experiment's if None.
     """
+    branch = branch or experiment.branch
     force, rate = known_force(experiment, seen), experiment.rate
     if not all(np.isfinite(v).all() for v in (force, seen.moved)):
         return float("nan")
-    pull = np.linalg.pinv(_sensitivity(experiment.branch, force, rate))
-    logs = np.zeros(2 * len(experiment.branch.length))
+    pull = np.linalg.pinv(_sensitivity(branch, force, rate))
+    logs = np.zeros(2 * len(branch.length))
     best, step = np.inf, logs
     for _ in range(rounds + 1):
         tried = np.clip(logs + step, -2.5, 2.5)
-        moved = drive(scaled(experiment.branch, tried), force, rate, **options | {"dt": REFIT_STEP}).moved
+        moved = drive(scaled(branch, tried), force, rate, **options | {"dt": REFIT_STEP}).moved
         left = ratio(seen.moved - moved, seen.moved)
         if left < best:
             best, logs, step = left, tried, np.clip(pull @ (seen.moved - moved).ravel(), -0.7, 0.7)

@@ -19,7 +19,9 @@ from ..samplers.choose import make_sampler
 from ..samplers.diagnostics import Convergence, converged
 from ..systems.branch import BranchSystem
 from ..systems.system import Parameter, free_of
-from .fit import Modes, find_modes, refine, representatives
+from .correlated import correlation, score_covariance, widening
+from .fit import Modes, find_modes, jacobian_rows, refine, representatives
+from .inside import Inside, coordinates_of, values_at
 from .target import Target
 
 Progress = Callable[[str, int], None]
@@ -45,6 +47,8 @@ class Posterior:
         agreement: Share of starts that ended within 3 of the best log posterior.
         convergence: Whether the sampler converged, with its diagnostics.
         geometry: What a branch's springs refer to: ``segment_name``, ``segment_length_m``, ``segment_radius_m``.
+        widened: Largest factor by which standard deviations grew because residuals are correlated (`correlated`); one
+            where they are white. ``log_posterior`` is that of the particles before.
     """
 
     parameters: tuple[Parameter, ...]
@@ -57,6 +61,7 @@ class Posterior:
     agreement: float
     convergence: Convergence
     geometry: dict[str, Array]
+    widened: float = 1.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -74,12 +79,14 @@ class Posterior:
         return free_of(self.parameters, torch.as_tensor(self.particles))
 
     def interval(self) -> tuple[Array, Array, Array]:
-        """Return median and ends of every parameter's 95 % interval, by a normal fit to its free coordinate."""
-        mean, spread = self.free.mean(0), self.free.std(0)
+        """Return median and ends of every parameter's 95 % interval, by a normal fit to its sampling coordinate.
+
+        In that coordinate (`inside`) no end lies outside the box of a parameter that has one.
+        """
+        w = coordinates_of(self.parameters, torch.as_tensor(self.particles))
+        mean, spread = w.mean(0), w.std(0)
         ends = (mean, mean - 1.96 * spread, mean + 1.96 * spread)
-        log = np.array([p.scale == "log" for p in self.parameters])
-        low, middle, high = ends[1].numpy(), mean.numpy(), ends[2].numpy()
-        return tuple(np.where(log, np.exp(np.where(log, x, 0.0)), x) for x in (middle, low, high))  # type: ignore[return-value]
+        return tuple(values_at(self.parameters, x).cpu().numpy() for x in ends)  # type: ignore[return-value]
 
     def save(self, path: Path) -> None:
         """Write ``posterior.npz``: names, units, particles [P, n], noise [P, C], log_posterior [P] and the geometry."""
@@ -105,13 +112,21 @@ def initial_vectors(target: Target, count: int, generator: torch.Generator) -> t
 
 
 class Whitened:
-    """A target's density in coordinates z = L^T (theta - centre), L L^T the precision at the centre.
+    """A target's density in coordinates z = L^T (w - centre), L L^T the precision of w at the centre.
 
-    A `samplers.choose.Density`, NaN where a simulation is not finite. Gradients combine residuals at z with derivatives
-    of the simulation that are recomputed only when some particle has moved by `STALE` standard deviations: within that
-    distance they change by about a percent, and each costs two worlds per parameter.
+    w are the coordinates of `inside`, in which no particle leaves its box. A `samplers.choose.Density`, NaN where a
+    simulation is not finite. Gradients combine residuals at z with derivatives of the simulation that are recomputed
+    only when some particle has moved by `STALE` standard deviations: within that distance they change by about a
+    percent, and each costs two worlds per parameter.
+
+    Args:
+        target: The density.
+        centre: Coordinates w, shape [D].
+        precision: Of w, shape [D, D].
 
     Attributes:
+        inside: Turns w into the target's vectors.
+        factor: L, shape [D, D].
         taken_at: Where the derivatives were taken, shape [P, D], or None.
     """
 
@@ -119,26 +134,34 @@ class Whitened:
 
     def __init__(self, target: Target, centre: torch.Tensor, precision: torch.Tensor) -> None:
         self.target, self.centre = target, centre
+        self.inside = inside_of(target)
         self.factor = torch.linalg.cholesky(precision)
         self.taken_at: torch.Tensor | None = None
         self._derivative: torch.Tensor | None = None
 
-    def theta(self, z: torch.Tensor) -> torch.Tensor:
-        """Return the target's vectors [..., D] of z."""
+    def w(self, z: torch.Tensor) -> torch.Tensor:
+        """Return coordinates w [..., D] of z."""
         return self.centre + torch.linalg.solve_triangular(
             self.factor.T, z.reshape(-1, z.shape[-1]).T, upper=True
         ).T.reshape(z.shape)
 
-    def z(self, theta: torch.Tensor) -> torch.Tensor:
-        """Return z [..., D] of the target's vectors."""
-        return (theta - self.centre) @ self.factor
+    def theta(self, z: torch.Tensor) -> torch.Tensor:
+        """Return the target's vectors [..., D] of z."""
+        return self.inside.theta(self.w(z))
+
+    def z(self, w: torch.Tensor) -> torch.Tensor:
+        """Return z [..., D] of coordinates w."""
+        return (w - self.centre) @ self.factor
 
     def evaluate(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return log density [P] and gradient [P, D]."""
         if self.taken_at is None or not bool(((z - self.taken_at).abs() <= self.STALE).all()):
             self.take(z)
-        e = self.target.evaluate(self.theta(z), self._derivative)
-        return e.log_posterior, torch.linalg.solve_triangular(self.factor, e.gradient.T, upper=False).T
+        w = self.w(z)
+        e = self.target.evaluate(self.inside.theta(w), self._derivative)
+        gradient = self.inside.gradient(w, e.gradient)
+        value = e.log_posterior + self.inside.log_volume(w)
+        return value, torch.linalg.solve_triangular(self.factor, gradient.T, upper=False).T
 
     def take(self, z: torch.Tensor) -> None:
         """Take the derivatives at z [P, D]."""
@@ -146,7 +169,37 @@ class Whitened:
 
     def log_density(self, z: torch.Tensor) -> torch.Tensor:
         """Return the log density [P]."""
-        return self.target.log_density(self.theta(z))
+        w = self.w(z)
+        return self.target.log_density(self.inside.theta(w)) + self.inside.log_volume(w)
+
+
+def inside_of(target: Target) -> Inside:
+    """Return the transform of a target's vectors into the coordinates in which they are sampled."""
+    return Inside(target.system.parameters, target.num_dims, target.place)
+
+
+def widening_at(density: Whitened) -> torch.Tensor | None:
+    """Return the matrix [D, D] that widens deviations in z for correlated residuals; None where they are white.
+
+    The residuals are those at the centre, at the noise inferred there. Noise keeps its own spread.
+    """
+    target, centre = density.target, density.centre[None]
+    theta = density.inside.theta(centre)
+    prediction, derivative = target.linearise(theta)
+    noise = target.split(theta)[2]
+    z = target.whiten(target.residual(prediction), noise)[0]
+    free = target.num_parameters + target.num_starts
+    seen = correlation(z, [len(r.t) for r in target.recordings], free)
+    if seen.white:
+        return None
+    weighed = jacobian_rows(target, derivative) * target.weight[..., None]
+    rows = target.whiten(weighed.permute(0, 4, 1, 2, 3), noise)[0] * density.inside.slope(centre)[0, :free].view(
+        -1, 1, 1, 1
+    )
+    curvature, scores = (torch.zeros_like(density.factor) for _ in range(2))
+    curvature[:free, :free] = rows.flatten(1) @ rows.flatten(1).T
+    scores[:free, :free] = score_covariance(seen, rows)
+    return widening(density.factor, curvature, scores)
 
 
 def infer(
@@ -199,10 +252,11 @@ def sample(
 ) -> Posterior:  # fmt: skip
     """Sample a target's posterior about its modes; arguments as of `infer`."""
     keep = checkpoint or Checkpoint()
-    best = int(modes.log_posterior.argmax())
-    density = Whitened(target, modes.theta[best], modes.precision[best])
+    found = inside_of(target).modes(modes)
+    best = int(found.log_posterior.argmax())
+    density = Whitened(target, found.theta[best], found.precision[best])
     generator = torch.Generator().manual_seed(seed + 1)
-    first = density.z(spread(modes, particles, generator))
+    first = density.z(spread(found, particles, generator))
     sampler = make_sampler(method, first, iterations=iterations, seed=seed)
     trace_z, trace_p = _restored(sampler, density, keep.load(f"{name}.sampler"))
     progress("particles", len(trace_z))
@@ -254,9 +308,10 @@ def _colour(target: Target, centre: torch.Tensor, force_sigma: Array | None) -> 
 
 
 def spread(modes: Modes, count: int, generator: torch.Generator) -> torch.Tensor:
-    """Draw initial particles about the modes in proportion to their Laplace evidence, 1.2 times too wide.
+    """Draw initial particles [P, D] about the modes in proportion to their Laplace evidence, 1.2 times too wide.
 
-    Starts at the same mode (within three standard deviations) count once.
+    Modes and particles are in the same coordinates. Starts at the same mode (within three standard deviations) count
+    once.
     """
     of = representatives(modes)
     distinct = [i for i in range(len(of)) if of[i] == i and bool(torch.isfinite(modes.log_posterior[i]))]
@@ -286,6 +341,9 @@ def _posterior(
     last = z[-1]
     verdict = converged(z, chain=sampler.chain, gradient=sampler.gradient)
     drawn, log_p = (last, p[-1]) if not sampler.chain else _thinned(z, p, 4 * particles)
+    wider = widening_at(density) if target.loss == "gaussian" else None
+    if wider is not None:
+        drawn = drawn.mean(0) + (drawn - drawn.mean(0)) @ wider
     theta = density.theta(drawn)
     u, _, noise = target.split(theta)
     sigma = noise.exp() if target.num_noise else target.log_noise0.exp().expand(len(theta), -1)
@@ -302,6 +360,7 @@ def _posterior(
         agreement=float((modes.log_posterior > best - 3.0).double().mean()),
         convergence=verdict,
         geometry=_geometry(system.branch) if isinstance(system, BranchSystem) else {},
+        widened=1.0 if wider is None else float(torch.linalg.eigvalsh(wider).max()),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
@@ -12,7 +12,7 @@ import torch
 from ...sim.base.types import Array
 from ..cases.case import BranchCase, JointCase
 from ..replay.input_noise import input_colour
-from ..replay.recording import Recording
+from ..replay.recording import Recording, beginning
 from ..samplers.mixture import Mixture, scott_bandwidth
 from ..systems.branch import Unknowns
 from ..systems.system import free_of
@@ -185,7 +185,4 @@ def _with_starts(
 def first_moments(recording: Recording, seconds: float) -> Recording:
     """Return the first seconds of a recording."""
     n = max(4, int(np.searchsorted(recording.t, recording.t[0] + seconds)))
-    return replace(
-        recording, t=recording.t[:n], input=recording.input[:n], output=recording.output[:n],
-        contact=recording.contact[:n], sensed=None if recording.sensed is None else recording.sensed[:n],
-    )  # fmt: skip
+    return beginning(recording, n)

@@ -17,10 +17,11 @@ from ..cases.case import BranchCase, JointCase
 from ..priors.prior import Blocks, Normal, Prior, box_prior
 from ..replay.equation_error import simulation_of
 from ..replay.input_noise import Colour
+from ..replay.motion import about_rest
 from ..replay.recording import Recording
 from ..replay.rollout import Rollout
 from ..systems.branch import Unknowns
-from ..systems.system import box_of, values_of
+from ..systems.system import box_of, free_of, values_of
 
 Loss = Literal["gaussian", "published"]
 
@@ -47,6 +48,8 @@ class Target:
         num_dims: Length D of theta.
         sigma0: Noise estimate of every channel, shape [C].
         box: Ends of the parameters' box in free coordinates, shapes [n].
+        linear: Whether a parameter has no logarithm, shape [n].
+        reach: One for a logarithm, half of the box of any other parameter, shape [n]: `SPACING` is a share of it.
         colour: How noise of the measured force correlates the residuals; None takes them for white.
         lean: Slope of the noise that the free coordinates let through, shape [n], and where it was taken; see
             `input_noise`.
@@ -78,6 +81,8 @@ class Target:
         self._stack_outputs()
         low, high = box_of(self.system.parameters)
         self.box = (low.to(self.place), high.to(self.place))
+        self.linear = torch.tensor([p.scale == "linear" for p in self.system.parameters], device=self.place)
+        self.reach = torch.where(self.linear, 0.5 * (self.box[1] - self.box[0]), 1.0)
         self.prior = self._prior(prior or box_prior(self.system.parameters))
 
     def _stack_outputs(self) -> None:
@@ -89,8 +94,8 @@ class Target:
         for j, r in enumerate(self.recordings):
             self.measured[j, : len(r.t)] = torch.as_tensor(r.output, device=self.place)
             self.weight[j, : len(r.t)] = active.double()
-        scale = self.measured.abs().amax((0, 1)).clamp(min=1e-9)
-        self.start_scale = scale.max().item()
+        motion = about_rest(self.case, self.recordings, self.measured)
+        self.start_scale = max(float(motion.abs().max()), 1e-9)
         groups = range(int(self.groups.max()) + 1)
         self.per_group = torch.stack([self.weight[..., self.groups == g].sum() for g in groups])
         self.log_noise0 = torch.stack(
@@ -137,6 +142,10 @@ class Target:
         """Return parameters in SI units from their free coordinates, shapes [..., n]."""
         return values_of(self.system.parameters, u)
 
+    def free(self, values: torch.Tensor) -> torch.Tensor:
+        """Return free coordinates from parameters in SI units, shapes [..., n]."""
+        return free_of(self.system.parameters, values)
+
     def predict(self, theta: torch.Tensor) -> torch.Tensor:
         """Return predictions [P, R, T, C]."""
         u, start, _ = self.split(theta)
@@ -145,7 +154,8 @@ class Target:
     def linearise(self, theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return predictions [P, R, T, C] and their derivatives [P, m, R, T, C] by central differences.
 
-        Derivatives keep the simulator's precision: they are large, and far less exact than that.
+        At the end of a box differences are one-sided: nothing is simulated beyond it. Derivatives keep the simulator's
+        precision: they are large, and far less exact than that.
 
         The m directions are the n parameters, then the entries of the start state, each moved in all recordings at
         once: a recording feels its own alone.
@@ -153,18 +163,27 @@ class Target:
         u, start, _ = self.split(theta)
         n, local = self.num_parameters, self.start0[0].numel()
         steps = torch.full((n + local,), self.SPACING, dtype=torch.float64, device=self.place)
+        steps[:n] *= self.reach
         steps[n:] *= self.start_scale
         offsets = torch.diag(steps)
         offsets = torch.cat([torch.zeros_like(offsets[:1]), offsets, -offsets])
-        us = u[:, None] + offsets[:, :n]
+        us = self._inside(u, u[:, None] + offsets[:, :n])
         starts = start[:, None] + offsets[:, n:].reshape(len(offsets), 1, *self.start0.shape[1:])
         flat = self.rollout(len(theta) * len(offsets))(
             self.values(us.flatten(0, 1)), starts.flatten(0, 1) if local else None
         )
         out = flat.unflatten(0, (len(theta), len(offsets)))
         m = n + local
-        scale = (0.5 / steps).to(out.dtype)[:, None, None, None]
-        return out[:, 0].double(), (out[:, 1 : m + 1] - out[:, m + 1 :]) * scale
+        scale = (0.5 / steps).expand(len(u), -1).clone()
+        apart = (us[:, 1 : n + 1] - us[:, m + 1 : m + n + 1]).diagonal(dim1=1, dim2=2)
+        scale[:, :n] = torch.where(self.linear, 1.0 / apart, scale[:, :n])
+        return out[:, 0].double(), (out[:, 1 : m + 1] - out[:, m + 1 :]) * scale.to(out.dtype)[..., None, None, None]
+
+    def _inside(self, u: torch.Tensor, us: torch.Tensor) -> torch.Tensor:
+        """Return points [P, k, n] about u [P, n], none past the end of a box that no logarithm bounds, unless u is."""
+        low, high = (torch.where(self.linear, end, free) for end, free in zip(self.box, (-torch.inf, torch.inf),
+                     strict=True))  # fmt: skip
+        return torch.maximum(torch.minimum(us, torch.maximum(high, u)[:, None]), torch.minimum(low, u)[:, None])
 
     def residual(self, prediction: torch.Tensor) -> torch.Tensor:
         """Return measured minus predicted, zero past a recording's end, [P, R, T, C]."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from ...sim.base.errors import InputError, check_seed
 from ..runs.folder import CONFIG, RunFolder, replace_text
 from ..runs.threads import one_thread
 from ..tasks.registry import TaskRegistry, settings_from
-from ..tasks.task import METRICS, Task, unseen_seed
+from ..tasks.task import METRICS, Task, Watch, unseen_seed
 from .ppo_settings import PPOSettings
 from .train_report import at_the_end
 
@@ -26,6 +26,8 @@ Policy = Callable[["TensorDict"], torch.Tensor]
 Metrics = dict[str, torch.Tensor]
 
 JSON, TABLE = "evaluation.json", "evaluation.md"
+ALL_JSON, ALL_TABLE = "evaluation_all_scenes.json", "evaluation_all_scenes.md"
+"""Files of a test in which no scene is left out."""
 COLUMNS = ("Test Rew", "Test SR %", "Occ Drop %", "Touch %", "Steps in Succ")
 """What is measured on every test set, as table 5.2 calls it; it has Train Rew and Trials before."""
 
@@ -99,8 +101,8 @@ def random(task: Task, seed: int) -> Policy:
 
 
 @torch.inference_mode()
-def first_episodes(task: Task, policy: Policy) -> Metrics:
-    """Return the metrics of the first episode of every world to its end, shape [W] each.
+def first_episodes(task: Task, policy: Policy, watch: Watch | None = None) -> Metrics:
+    """Return the metrics of the first episode of every world to its end, shape [W] each; ``watch`` looks at its steps.
 
     Raises:
         RuntimeError: An episode is longer than the task says.
@@ -115,6 +117,8 @@ def first_episodes(task: Task, policy: Policy) -> Metrics:
         for name, values in found.items():
             values.copy_(torch.where(ends, extras["log"][name], values))
         over |= ends
+        if watch is not None:
+            watch.measure(~over)
         if bool(over.all()):
             return found
     raise RuntimeError(f"{int((~over).sum())} episodes of {task.name} did not end in max_episode_length steps")
@@ -147,12 +151,14 @@ class Row:
         train_return: Return at the end of training, NaN for a policy that was not trained.
         trials: Episodes.
         sets: `COLUMNS` of every set.
+        overlaps: What passed through what (`Watch.rows`) in every set, by kind; empty for tasks that do not watch it.
     """
 
     policy: str
     train_return: float
     trials: int
     sets: Sequence[Mapping[str, float]]
+    overlaps: Sequence[Mapping[str, Mapping[str, float]]] = ()
 
     def mean(self, column: str) -> float:
         """Return the mean over the sets that have a value."""
@@ -167,13 +173,18 @@ class Row:
         mean = self.mean(column)
         return math.sqrt(sum((v - mean) ** 2 for v in values) / (len(values) - 1))
 
+    def overlap(self, kind: str) -> tuple[float, float]:
+        """Return the share of steps in which a kind overlaps [%], its mean over the sets, and the deepest [mm]."""
+        found = [rows[kind] for rows in self.overlaps]
+        return sum(f["steps %"] for f in found) / len(found), max(f["deepest mm"] for f in found)
+
     def _values(self, column: str) -> list[float]:
         return [s[column] for s in self.sets if not math.isnan(s[column])]
 
 
 def evaluate(
     path: Path, registry: TaskRegistry, *, sets: int = 3, worlds: int = 512, seed: int = 0, device: str = "cpu",
-    baselines: Sequence[str] = (), progress: Callable[[int], None] = lambda done: None,
+    baselines: Sequence[str] = (), all_scenes: bool = False, progress: Callable[[int], None] = lambda done: None,
 ) -> list[Row]:  # fmt: skip
     """Test a run's policy, and others beside it in the same worlds; write ``evaluation.json`` and ``evaluation.md``.
 
@@ -185,10 +196,12 @@ def evaluate(
         seed: Seed of the test sets; whatever it is, no world of training is among them.
         device: Torch device.
         baselines: Names of the policies beside it, ``zero`` and ``random``.
+        all_scenes: Whether scenes are tested that training leaves out as hardly possible; the files are then
+            ``evaluation_all_scenes.json`` and ``.md``.
         progress: Called with the episodes' sets done since the last call.
 
     Raises:
-        InputError: A number cannot be, or there is no policy to test.
+        InputError: A number cannot be, there is no policy to test, or the task leaves no scene out.
     """
     check_seed("evaluate", seed)
     for option, value, least in (("--sets", sets, 1), ("--worlds", worlds, 1)):
@@ -196,28 +209,68 @@ def evaluate(
             raise InputError("evaluate", option, str(value), f"{least} or more")
     folder = RunFolder(path)
     trained = read_policy(folder, registry)
-    found: dict[str, list[dict[str, float]]] = {name: [] for name in ("trained", *baselines)}
+    if all_scenes:
+        if registry.all_scenes is None:
+            raise InputError("evaluate", "--all-scenes", trained.name, "a task that leaves scenes out")
+        trained = replace(trained, settings=registry.all_scenes(trained.settings))
+    found: dict[str, list[Tested]] = {name: [] for name in ("trained", *baselines)}
+    scenes: list[dict[str, float]] = []
     for index in range(sets):
         test_seed = unseen_seed(seed, index)
         task = registry.make(trained.name, trained.settings, num_envs=worlds, seed=test_seed, device=device, test=True)
+        scenes.append(getattr(task, "scenes", dict)())
         start = task.snapshot()
         for name, results in found.items():
             task.restore(start)
             policy = zero(task) if name == "zero" else random(task, test_seed) if name == "random" else trained.on(task)
-            with one_thread():
-                results.append(columns(first_episodes(task, policy)))
+            results.append(_tested(task, policy))
             progress(1)
     end = at_the_end(folder.metrics(), "return")
-    rows = [Row(n, end if n == "trained" else math.nan, sets * worlds, results) for n, results in found.items()]
-    _write(folder, trained, rows, sets=sets, worlds=worlds, seed=seed, device=device)
+    rows = [_row(n, end if n == "trained" else math.nan, sets * worlds, results) for n, results in found.items()]
+    how = {"sets": sets, "worlds": worlds, "seed": seed, "device": device}
+    _write(folder, trained, rows, scenes, (ALL_JSON, ALL_TABLE) if all_scenes else (JSON, TABLE), **how)
     return rows
 
 
-def _write(folder: RunFolder, trained: TrainedPolicy, rows: Sequence[Row], **how: object) -> None:
+Tested = tuple[dict[str, float], dict[str, dict[str, float]]]
+"""`COLUMNS` of a policy on a test set, and its overlaps."""
+
+
+def _tested(task: Task, policy: Policy) -> Tested:
+    watch = task.watch() if hasattr(task, "watch") else None
+    with one_thread():
+        measured = columns(first_episodes(task, policy, watch))
+    return measured, {} if watch is None else watch.rows()
+
+
+def _row(name: str, train_return: float, trials: int, results: Sequence[Tested]) -> Row:
+    overlaps = [found for _, found in results if found]
+    return Row(name, train_return, trials, [measured for measured, _ in results], overlaps)
+
+
+def _write(
+    folder: RunFolder, trained: TrainedPolicy, rows: Sequence[Row], scenes: Sequence[Mapping[str, float]],
+    files: tuple[str, str], **how: object,
+) -> None:  # fmt: skip
     about = {"format": "bough-evaluation/1", "task": trained.name, "iteration": trained.iteration, **how}
-    text = json.dumps({**about, "rows": [_plain(row) for row in rows]}, indent=2, allow_nan=False)
-    replace_text(folder.path / JSON, text + "\n")
-    replace_text(folder.path / TABLE, table(rows) + "\n")
+    facts = {name: sum(s[name] for s in scenes) / len(scenes) for name in scenes[0]}
+    kept = {**about, "scenes": facts, "rows": [_plain(row) for row in rows]}
+    replace_text(folder.path / files[0], json.dumps(kept, indent=2, allow_nan=False) + "\n")
+    replace_text(folder.path / files[1], "\n\n".join([table(rows), *_notes(rows, facts)]) + "\n")
+
+
+def _notes(rows: Sequence[Row], scenes: Mapping[str, float]) -> list[str]:
+    """Return, where a task tells it, what the scenes are like and what passed through what, as Markdown."""
+    notes = []
+    if scenes:
+        notes.append("Scenes: " + "; ".join(f"{name}: {value:.1f}" for name, value in scenes.items()) + ".")
+    watched = [row for row in rows if row.overlaps]
+    if watched:
+        kinds = list(watched[0].overlaps[0])
+        body = [(kind, *("{:.2f} %, {:.1f} mm".format(*row.overlap(kind)) for row in watched)) for kind in kinds]
+        notes.append("Overlaps: share of steps deeper than 2 mm, and the deepest of all.")
+        notes.append(_lines([("overlap of", *(row.policy for row in watched)), *body]))
+    return notes
 
 
 def _plain(row: Row) -> dict[str, Any]:
@@ -228,7 +281,8 @@ def _plain(row: Row) -> dict[str, Any]:
         c: {"mean": known(row.mean(c)), "spread": known(row.spread(c)), "sets": [known(s[c]) for s in row.sets]}
         for c in COLUMNS
     }
-    return {"policy": row.policy, "Train Rew": known(row.train_return), "Trials": row.trials, **measured}
+    out = {"policy": row.policy, "Train Rew": known(row.train_return), "Trials": row.trials, **measured}
+    return out | ({"overlaps": row.overlaps} if row.overlaps else {})
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -236,14 +290,19 @@ def table(rows: Sequence[Row]) -> str:
     head = ("policy", "Train Rew", "Trials", *COLUMNS)
     body = [(r.policy, _cell(r.train_return), str(r.trials), *(_cell(r.mean(c), r.spread(c)) for c in COLUMNS))
             for r in rows]  # fmt: skip
-    widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
+    return _lines([head, *body])
+
+
+def _lines(table_: Sequence[Sequence[str]]) -> str:
+    """Return cells as a table in Markdown, the first row its head, the first column left-aligned."""
+    widths = [max(map(len, column)) for column in zip(*table_, strict=True)]
 
     def line(cells: Sequence[str]) -> str:
         first, *others = zip(cells, widths, strict=True)
         return "| " + " | ".join([first[0].ljust(first[1]), *(c.rjust(w) for c, w in others)]) + " |"
 
     rule = "|" + "|".join([" " + "-" * widths[0] + " ", *(" " + "-" * w + ":" for w in widths[1:])]) + "|"
-    return "\n".join([line(head), rule, *map(line, body)])
+    return "\n".join([line(table_[0]), rule, *map(line, table_[1:])])
 
 
 def _cell(mean: float, spread: float = math.nan) -> str:

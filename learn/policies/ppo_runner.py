@@ -154,10 +154,14 @@ class Runner(OnPolicyRunner):
 
 def policy_of(state: dict[str, Any], settings: PPOSettings, task: Task) -> MLPModel:
     """Return the deterministic policy of a saved state, for a task with the same observations and actions."""
+    return network_of(state, settings, task.get_observations(), task.num_actions).to(task.device)
+
+
+def network_of(state: dict[str, Any], settings: PPOSettings, observations: TensorDict, num_actions: int) -> MLPModel:
+    """Return the policy's network of a saved state, for observations of these sizes, on the CPU."""
     config = settings.actor_config()
     del config["class_name"]
-    observations = task.get_observations()
-    policy = MLPModel(observations, {"actor": ["policy"]}, "actor", task.num_actions, **config).to(task.device)
+    policy = MLPModel(observations, {"actor": ["policy"]}, "actor", num_actions, **config)
     policy.load_state_dict(state["actor_state_dict"])
     policy.eval()
     return policy

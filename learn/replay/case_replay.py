@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import matplotlib
 import numpy as np
@@ -30,8 +30,8 @@ def replay(
 ) -> tuple[Trajectory, Array]:
     """Simulate one world per recording from rest; return it and the grasp points' displacement [m], shape [T, W, 3].
 
-    Springs are those of ``model``, or those that `BranchSystem` takes for typical. A model with effects is replayed by
-    their kernel at the time step of identification, and recorded at the sampling times.
+    Springs are those that `BranchSystem` takes for typical. A ``model`` is replayed as identification and diagnosis do,
+    at their time step, and recorded at the sampling times.
 
     Raises:
         InputError: --seconds is longer than the recordings, or an option does not fit.
@@ -40,22 +40,31 @@ def replay(
     seconds = longest if seconds is None else seconds
     if seconds > longest:
         raise InputError("--seconds", "", f"{seconds:g}", f"at most {longest:g}, the length of the recordings")
-    if model is not None and model.effects:
-        return _with_effects(case, model, seconds)
+    if model is not None:
+        return _with_model(case, model, stepping, seconds)
     system = BranchSystem(case)
-    tree = system.tree if model is None else system.tree.with_(stiffness=model.stiffness, damping=model.damping)
     steps = stepping.steps(seconds)
-    stepping.check_memory(steps, len(case.trajectories), tree.num_links)
-    simulator = make_simulator(stepping, tree, system.gravity, len(case.trajectories))
+    stepping.check_memory(steps, len(case.trajectories), system.tree.num_links)
+    simulator = make_simulator(stepping, system.tree, system.gravity, len(case.trajectories))
     trajectory = record(simulator, steps, drive=Push(simulator, case, recordings(case)))
     return trajectory, grasp_displacement(case, trajectory)
 
 
-def _with_effects(case: BranchCase, model: BranchModel, seconds: float) -> tuple[Trajectory, Array]:
-    rollout = Rollout(case, recordings(case), 1, unknowns=Unknowns(effects=model.effects), track=True)
-    values = torch.tensor(np.concatenate([model.stiffness, model.damping])[None])
+def _with_model(case: BranchCase, model: BranchModel, stepping: Stepping, seconds: float) -> tuple[Trajectory, Array]:
+    """Replay a model as identification does, recorded at the sampling times."""
+    rollout = Rollout(case, recordings(case), 1, unknowns=Unknowns(effects=model.effects), track=bool(model.effects))
     count = round(seconds / case.dt) + 1
-    grasp = rollout(values)[0, :, :count, :3].double().cpu().numpy().swapaxes(0, 1)
+    grasp = rollout(torch.tensor(model.values[None]))[0, :, :count, :3].double().cpu().numpy().swapaxes(0, 1)
+    if model.effects:
+        return _tracked(case, rollout, count), grasp
+    tree = rollout.system.tree.with_(stiffness=model.stiffness, damping=model.damping)
+    steps = replace(stepping, dt=case.dt, substeps=rollout.substeps)
+    simulator = make_simulator(steps, tree, rollout.system.gravity, len(case.trajectories))
+    return record(simulator, count - 1, drive=Push(simulator, case, recordings(case))), grasp
+
+
+def _tracked(case: BranchCase, rollout: Rollout, count: int) -> Trajectory:
+    """Return the bodies' poses in the first samples of a rollout that tracked its joints' coordinates."""
     poses = rollout.coordinates()[0, :, :count]
     worlds = Model([rollout.system.tree] * len(case.trajectories), gravity=rollout.system.gravity, width=1,
                    device=rollout.device)  # fmt: skip
@@ -67,9 +76,8 @@ def _with_effects(case: BranchCase, model: BranchModel, seconds: float) -> tuple
     pos, quat = (np.stack(part) for part in zip(*frames, strict=True))
     first = rollout.system.first if isinstance(rollout.system, BranchSystem) else 0
     time: Array = case.dt * np.arange(count, dtype=np.float64)
-    trajectory = Trajectory(time, list(case.segment_name), pos[:, :, first:], quat[:, :, first:],
-                            _lost(rollout, len(case.trajectories)))  # fmt: skip
-    return trajectory, grasp
+    return Trajectory(time, list(case.segment_name), pos[:, :, first:], quat[:, :, first:],
+                      _lost(rollout, len(case.trajectories)))  # fmt: skip
 
 
 def _lost(rollout: Rollout, worlds: int) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ class Recording:
         grasp: Link that is held and the grasp point in its body frame [m]; None where joints are driven.
         t_start: When it starts on the case's absolute clock [s].
         sensed: What a branch's force sensor read, gripper open or not [N], shape [T, 3]; None: the same as ``input``.
+        fine: Of a torque fit, motion and efforts under a wider filter, at all samples, shape [T, 3 J + I].
+        every: Of a torque fit, how many samples of ``fine`` there are to one that is kept; 0 before any are left out.
     """
 
     t: Array
@@ -34,6 +36,15 @@ class Recording:
     grasp: tuple[int, Array] | None = None
     t_start: float = 0.0
     sensed: Array | None = None
+    fine: Array | None = None
+    every: int = 0
+
+
+def beginning(recording: Recording, count: int) -> Recording:
+    """Return the first ``count`` samples of a recording."""
+    sensed = None if recording.sensed is None else recording.sensed[:count]
+    columns = {name: getattr(recording, name)[:count] for name in ("t", "input", "output", "contact")}
+    return replace(recording, **columns, sensed=sensed)
 
 
 def recordings(case: BranchCase | JointCase) -> list[Recording]:

@@ -15,6 +15,7 @@ from ...sim.effects import Effect, EffectParameter, Law, Setting, effect_of
 from ...sim.effects.registry import Form
 from ...sim.engine.model import Model
 from ..cases.case import BranchCase, JointCase
+from ..cases.joints import JointAxis, JointSpec
 from .system import Parameter, Write
 
 #: Name under which `Write` knows the kernels' array of effect parameters.
@@ -177,14 +178,14 @@ def parameter_of(a: Acting, spec: EffectParameter, setting: Setting) -> Paramete
 
     low, high = number(spec.low), number(spec.high)
     typical = None if spec.typical is None else min(max(number(spec.typical), low), high)
-    return Parameter(f"{a.label} {spec.name}", unit_at(spec.unit, setting), low, high, typical, spec.scale)
+    return Parameter(f"{a.label} {spec.name}", unit_at(spec.unit, setting.slides), low, high, typical, spec.scale)
 
 
-def unit_at(unit: str, setting: Setting) -> str:
+def unit_at(unit: str, slides: bool) -> str:
     """Return a registry's unit as it is at a joint: along a slide metres stand for radians and N for N m."""
     if " or " in unit:
-        return unit.split(" or ")[setting.slides]
-    return unit.replace("N m", "N").replace("rad", "m") if setting.slides else unit
+        return unit.split(" or ")[slides]
+    return unit.replace("N m", "N").replace("rad", "m") if slides else unit
 
 
 def branch_settings(case: BranchCase) -> list[Setting]:
@@ -227,7 +228,7 @@ def joint_settings(case: JointCase, carried: Sequence[float]) -> list[Setting]:
     start = min(t.t_start for t in case.trajectories)
     out = []
     for joint, inertia in zip(case.joints, carried, strict=True):
-        angle, rate, acceleration = _motion(case, joint.name)
+        angle, rate, acceleration = _motion(case, joint)
         torque = inertia * acceleration
         for c, item in enumerate(case.inputs):
             if item.joint == joint.name:
@@ -237,11 +238,15 @@ def joint_settings(case: JointCase, carried: Sequence[float]) -> list[Setting]:
     return out
 
 
-def _motion(case: JointCase, name: str) -> tuple[float, float, float]:
+def _motion(case: JointCase, joint: JointAxis) -> tuple[float, float, float]:
     """Largest angle, rate and acceleration of a joint; unmeasured ones are derived from measured ones."""
     series: dict[str, list[Array]] = {
-        o.quantity: [t.output[:, c] for t in case.trajectories] for c, o in enumerate(case.outputs) if o.joint == name
+        o.quantity: [t.output[:, c] for t in case.trajectories]
+        for c, o in enumerate(case.outputs)
+        if o.joint == joint.name
     }
+    if "position" in series:
+        series["position"] = [x - _rest(joint, series["position"]) for x in series["position"]]
     share: dict[str, float] = dict.fromkeys(series, 1.0)
     if "position" in series and "velocity" not in series:
         series["velocity"], share["velocity"] = [np.diff(x) / case.dt for x in series["position"]], 0.99  # of noise
@@ -252,6 +257,14 @@ def _motion(case: JointCase, name: str) -> tuple[float, float, float]:
     rate = found.get("velocity", 1.0)
     angle = found.get("position", rate)
     return angle, rate, found.get("acceleration", rate * rate / angle)
+
+
+def _rest(joint: JointAxis, positions: Sequence[Array]) -> float:
+    """Return where a joint rests: its spring's zero, else where gravity pulls it, else the mean of its positions."""
+    if not isinstance(joint, JointSpec) or joint.stiffness != 0.0:
+        return 0.0
+    zero = None if joint.gravity_torque is None else joint.gravity_torque.zero_angle  # None too where it is not known
+    return float(np.concatenate(positions).mean()) if zero is None else zero
 
 
 def integral(x: Array, dt: float) -> Array:

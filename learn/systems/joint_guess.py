@@ -19,7 +19,7 @@ def guess_joint(case: JointCase, joint: JointSpec) -> dict[str, float]:
 
     Non-negative least squares of
 
-        m q'' + d q' + k q + A sin(q - zero) = effort,
+        m q'' + d q' + k q + A cos(zero) sin q - A sin(zero) cos q = effort,
 
     over all recordings in which the joint's position is measured; derivatives from local polynomials (Savitzky and
     Golay 1964). They are too soft for motion of fewer than some ten samples a period, and noise makes them worse: a
@@ -32,25 +32,35 @@ def guess_joint(case: JointCase, joint: JointSpec) -> dict[str, float]:
         return {}
     columns, right = (np.concatenate(x) for x in zip(*rows, strict=True))
     gravity = joint.gravity_torque
-    known = (joint.inertia, joint.damping, joint.stiffness, gravity.amplitude if gravity else 0.0)
-    names = ("inertia", "damping", "stiffness", "gravity")
+    turned = gravity is not None and gravity.zero_angle is None  # both parts of the torque are free, of either sign
+    size = None if turned else gravity.amplitude if gravity else 0.0
+    known = (joint.inertia, joint.damping, joint.stiffness, size, *([None if turned else 0.0] * 3))
+    names = ("inertia", "damping", "stiffness", "gravity", "back", "left", "right")
     free = [c for c, value in enumerate(known) if value is None]
     for c, value in enumerate(known):
         right = right - (value or 0.0) * columns[:, c]
     scale = np.linalg.norm(columns[:, free], axis=0)
     if not free or not np.all(scale > 0.0):
         return {}
-    found = nnls(columns[:, free] / scale, right)[0] / scale
-    return {names[c]: float(v) for c, v in zip(free, found, strict=True) if v > 0.0}
+    found = dict(zip([names[c] for c in free], nnls(columns[:, free] / scale, right)[0] / scale, strict=True))
+    if turned:
+        along, across = found.pop("gravity") - found.pop("back"), found.pop("left") - found.pop("right")
+        found |= {"gravity": np.hypot(along, across)}
+        zero = {"zero": float(np.arctan2(across, along))} if found["gravity"] > 0.0 else {}
+        return {n: float(v) for n, v in found.items() if v > 0.0} | zero
+    return {name: float(v) for name, v in found.items() if v > 0.0}
 
 
 def _rows(case: JointCase, joint: JointSpec) -> Iterator[tuple[Array, Array]]:
-    """Yield q'', q', q, sin(q - zero) and the effort of every recording, without the ends of the polynomials."""
+    """Yield what acts and the effort of every recording, without the ends of the polynomials.
+
+    What acts is q'', q', q, sin(q - zero) and its opposite, -cos(q - zero) and its opposite; zero is 0 where unknown.
+    """
     from scipy.signal import savgol_filter
 
     channel = [c for c, o in enumerate(case.outputs) if (o.joint, o.quantity) == (joint.name, "position")]
     driven = [i for i, item in enumerate(case.inputs) if item.joint == joint.name]
-    zero = joint.gravity_torque.zero_angle if joint.gravity_torque else 0.0
+    zero = (joint.gravity_torque.zero_angle or 0.0) if joint.gravity_torque else 0.0
     inside = slice(WINDOW // 2, -(WINDOW // 2))
     for t in case.trajectories:
         if not channel or len(t.t) < 4 * WINDOW:
@@ -58,4 +68,5 @@ def _rows(case: JointCase, joint: JointSpec) -> Iterator[tuple[Array, Array]]:
         y = t.output[:, channel[0]]
         q, v, a = (savgol_filter(y, WINDOW, ORDER, deriv=d, delta=case.dt)[inside] for d in range(3))
         effort = t.effort[inside, driven[0]] if driven else np.zeros_like(q)
-        yield np.column_stack([a, v, q, np.sin(q - zero)]), effort
+        sine, cosine = np.sin(q - zero), np.cos(q - zero)
+        yield np.column_stack([a, v, q, sine, -sine, -cosine, cosine]), effort

@@ -24,8 +24,8 @@ class JointSystem:
     So is a constant offset of every measured effort.
 
     A revolute joint turns about the horizontal y axis; a prismatic one slides along x. The gravity torque
-    -A sin(q - zero) is that of a mass hanging beside the joint (1 kg at A / g where A is unknown); the moment of
-    inertia about the joint is the given one whatever hangs there.
+    -A sin(q - zero) is that of a mass hanging beside the joint (1 kg at A / g where A or zero is unknown); the moment
+    of inertia about the joint is the given one whatever hangs there.
     """
 
     G = 9.81
@@ -77,6 +77,10 @@ class JointSystem:
             typical = _inside(guess.get("gravity"), low, high)
             out.append(Parameter(f"gravity torque {joint.name}", force, low, high, typical))
             self._slots.append((i, "gravity"))
+        if joint.gravity_torque is not None and joint.gravity_torque.zero_angle is None:
+            middle = guess.get("zero", 0.0)
+            out.append(Parameter(f"zero angle {joint.name}", turn, middle - np.pi, middle + np.pi, middle, "linear"))
+            self._slots.append((i, "zero"))
         return out
 
     def _offset(self, i: int, joint: JointSpec, case: JointCase) -> list[Parameter]:
@@ -97,10 +101,9 @@ class JointSystem:
     def _tree(self, name: str) -> Tree:
         n = len(self.joints)
         revolute = np.array([j.type == "revolute" for j in self.joints])
-        zero = np.array([0.0 if j.gravity_torque is None else j.gravity_torque.zero_angle for j in self.joints])
-        amplitude = np.array(
-            [0.0 if j.gravity_torque is None else j.gravity_torque.amplitude or 0.0 for j in self.joints]
-        )
+        gravity = [j.gravity_torque for j in self.joints]
+        zero = np.array([0.0 if g is None else g.zero_angle or 0.0 for g in gravity])
+        amplitude = np.array([0.0 if g is None or g.zero_angle is None else g.amplitude or 0.0 for g in gravity])
         inertia = np.array([j.inertia or 1.0 for j in self.joints])
         self._hang = np.stack([np.sin(zero), np.zeros(n), -np.cos(zero)], axis=-1)
         known = amplitude != 0.0
@@ -133,15 +136,27 @@ class JointSystem:
         for column, (i, name) in enumerate(self._slots):
             place = int(model.link_place[i])
             v = values[:, column]
-            if name == "gravity":
-                for c in (0, 2):
-                    write("com", place, c, v * float(self._hang[i, c] / self.G))
+            if name in ("gravity", "zero"):
+                self._hang_up(i, values, place, write)
             elif name == "inertia":
                 revolute = self.joints[i].type == "revolute"
                 for c in range(3 if revolute else 1):
                     write("inertia" if revolute else "mass", place, c, v)
             else:
                 write(name, place, 0, v)
+
+    def _hang_up(self, i: int, values: torch.Tensor, place: int, write: Write) -> None:
+        """Write where the mass hangs that gives a joint its gravity torque; size or direction may be known."""
+        gravity, column = self.joints[i].gravity_torque, {slot: c for c, slot in enumerate(self._slots)}
+        assert gravity is not None
+
+        def of(name: str, known: float | None) -> torch.Tensor:
+            at = column.get((i, name))
+            return values[:, at] if at is not None else torch.full_like(values[:, 0], known or 0.0)
+
+        size, zero = of("gravity", gravity.amplitude) / self.G, of("zero", gravity.zero_angle)
+        write("com", place, 0, size * torch.sin(zero))
+        write("com", place, 2, -size * torch.cos(zero))
 
 
 def _inside(value: float | None, low: float, high: float) -> float | None:

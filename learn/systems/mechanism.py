@@ -22,6 +22,8 @@ from .system import Parameter, Write
 
 Values = dict[str, torch.Tensor]
 
+#: Longest step [s], and largest phase that a spring's oscillation may turn by in a step [rad].
+LONGEST, TURN = 1e-3, 0.1
 #: Parts of an unknown that has more than one: the centre of mass moves across the joint's axis only.
 PARTS = {"com": ("com along", "com across")}
 
@@ -78,13 +80,14 @@ class MechanismSystem:
         mechanism = load_mjcf(case.mjcf)
         self.joints: tuple[JointAxis, ...] = case.joints
         self.gravity = mechanism.gravity
-        self.substep = 1e-3
         self.tree, self._rest = _relaxed_at_zero(mechanism.tree)
         self._links = link_parameters([self.tree])
         self._file = case.folder / "meta.yaml"
         self._case = case
         self._bodies = {j.name: _body(self._links, j.link) for j in self.joints}
         self._carried = {j.name: _carried(self.tree, j) for j in self.joints}
+        finest = 0.5 * TURN * case.dt  # an oscillation that the samples can show
+        self.substep = min([LONGEST, *(max(finest, TURN / w) for w in self._frequencies() if w > 0.0)])
         named = [(q, j) for j in self.joints for q in UNKNOWN if q in case.unknown or f"{q} {j.name}" in case.unknown]
         chosen = [(q, j) for q, j in named if self._exists(q, j)]
         self._slots = [(part, j) for q, j in chosen for part in PARTS.get(q, (q,))]
@@ -92,6 +95,15 @@ class MechanismSystem:
             found = "nothing unknown" if not case.unknown else f"{', '.join(case.unknown)}, which no joint has"
             raise InputError(self._file, "mechanism.unknown", found, f"quantities of {', '.join(UNKNOWN)}")
         self.parameters = tuple(self._parameter(part, joint) for part, joint in self._slots)
+
+    def _frequencies(self) -> list[float]:
+        """Return the frequency of each joint's spring on its own link [rad/s], zero without a spring."""
+        out = []
+        for j in self.joints:
+            body = self._bodies[j.name]
+            inertia = float(self.tree.armature[j.link]) + (body.about if j.type == "revolute" else body.mass)
+            out.append(float(np.sqrt(self.tree.stiffness[j.link] / inertia)) if inertia > 0.0 else 0.0)
+        return out
 
     def _exists(self, quantity: str, joint: JointAxis) -> bool:
         """Return whether a joint has a quantity; raise `InputError` where it was asked for by name and has not."""

@@ -1,12 +1,13 @@
-"""A model of a branch as `sim.wood.branch_file` reads it from ``model.yaml``, for the case that it is used with.
+"""A model as it stands in ``model.yaml``, for the case that it is used with: of a branch, or of joints (`joint_file`).
 
-Masses and gravity are the case's; so is the geometry, and a file that states another one does not fit.
+Of a branch, masses and gravity are the case's; so is the geometry, and a file that states another one does not fit.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -16,6 +17,7 @@ from ...sim.base.types import Array
 from ...sim.wood.branch_file import FORMAT, GEOMETRY, read_branch_file
 from ..cases.case import BranchCase, JointCase
 from .acting import Acting
+from .joint_file import JointModel, joint_model_of
 
 #: Lengths and radii that differ by less than this share are the same: a file may have been written with fewer digits.
 SAME = 1e-4
@@ -32,6 +34,7 @@ class BranchModel:
         damping: Dampers [N m s/rad], shape [R].
         effects: Effects; all their parameters are known.
         size: Length, radius of the lower and of the upper end of every segment [m], shape [R, 3]; None if not known.
+        claimed: Whether the effects are claimed; else they are the nearest ones of a diagnosis.
     """
 
     name: str
@@ -40,6 +43,15 @@ class BranchModel:
     damping: Array
     effects: tuple[Acting, ...] = ()
     size: Array | None = None
+    claimed: bool = True
+
+    @property
+    def values(self) -> Array:
+        """Springs, then dampers: the values of `BranchSystem`'s own parameters, shape [2 R]."""
+        return np.concatenate([self.stiffness, self.damping])
+
+
+Model = BranchModel | JointModel
 
 
 def read_model(path: str | Path) -> BranchModel:
@@ -56,11 +68,19 @@ def read_model(path: str | Path) -> BranchModel:
         np.array([s.damping_Nmsprad for s in file.segments]),
         tuple(Acting(e.name, e.joint, dict(e.parameters)) for e in file.effects),
         None if file.sizes is None else np.array(file.sizes),
+        file.claimed,
     )
 
 
-def write_model(path: str | Path, model: BranchModel) -> None:
-    """Write a ``model.yaml``; numbers keep all their digits."""
+def write_model(path: str | Path, model: Model) -> None:
+    """Write the ``model.yaml`` of a branch or of joints; numbers keep all their digits."""
+    content = model.content() if isinstance(model, JointModel) else _content(model)
+    if not model.claimed:
+        content["claimed"] = False
+    Path(path).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+
+
+def _content(model: BranchModel) -> dict[str, Any]:
     segments = [
         {"name": n, "stiffness_Nmprad": float(k), "damping_Nmsprad": float(d)}
         for n, k, d in zip(model.segment_name, model.stiffness, model.damping, strict=True)
@@ -70,18 +90,17 @@ def write_model(path: str | Path, model: BranchModel) -> None:
             segment.update(zip(GEOMETRY, map(float, row), strict=True))
     acting = [{"name": a.name, "joint": a.joint, "parameters": {k: float(v) for k, v in a.known.items()}}
               for a in model.effects]  # fmt: skip
-    content = {"format": FORMAT, "name": model.name, "segments": segments, "effects": acting}
-    Path(path).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    return {"format": FORMAT, "name": model.name, "segments": segments, "effects": acting}
 
 
-def model_of(path: str | Path, case: BranchCase | JointCase) -> BranchModel:
+def model_of(path: str | Path, case: BranchCase | JointCase) -> Model:
     """Read the model of a case.
 
     Raises:
-        InputError: The case is one of joints, the file is faulty, or it is another branch's.
+        InputError: The file is faulty, of the other form of case, or another branch's or mechanism's.
     """
-    if not isinstance(case, BranchCase):
-        raise InputError("--model", "", f"{path} with a case of joints", "only with a branch (branch-gap-case/1)")
+    if isinstance(case, JointCase):
+        return joint_model_of(path, case)
     model = read_model(path)
     check_fits(model, case, path)
     return model

@@ -19,9 +19,11 @@ from ...sim.arms.jaco2 import jaco2
 from ...sim.arms.simulator import ArmSimulator, Contacts
 from ...sim.base.errors import InputError
 from ...sim.base.thread_pool import Launches, recorded
-from ...sim.scenes.scene import Axes, Scene, grow_trees, seed_sequence, share_trees
+from ...sim.scenes.scene import Axes, Scene, fork_height, grow_trees, seed_sequence, share_trees
+from ...sim.trees.tree import Tree
 from ...sim.wood.effects import give_effects, names_of
 from .memory import copies, put_back, simulator_tensors
+from .overlaps import Overlaps
 from .settings import TaskSettings, columns_of
 from .task import METRICS
 
@@ -35,8 +37,9 @@ _MEASURES = ("first_occlusion", "last_occlusion", "total")
 class Powerline(VecEnv):
     """Worlds of one tree, one target and one arm each, that restart by themselves.
 
-    A policy step is a fixed sequence of launches (`step`): judge the state that the action was chosen in (eq. 5.9),
-    act, step the physics, close episodes that are over, place those worlds anew, sense once, deliver. Everything is
+    A policy step is a fixed sequence of launches (`step`): judge the state that the action was chosen in (eq. 5.9); in
+    every control period act and step the physics; close episodes that are over, place those worlds anew, sense once,
+    deliver. Everything is
     allocated here and written in place; what `step` returns is the same memory every time, overwritten by the next.
 
     Attributes:
@@ -53,7 +56,7 @@ class Powerline(VecEnv):
         lost: How often the simulation lost each world, int32 [worlds].
     """
 
-    version = 1
+    version = 2
 
     def __init__(
         self, name: str, settings: TaskSettings, *, num_envs: int, seed: int, device: str, test: bool = False,
@@ -94,9 +97,9 @@ class Powerline(VecEnv):
 
     def _build_worlds(self, arm: Arm, seed: int, domain: str) -> None:
         s = self.cfg.scene
-        distinct = grow_trees(s, arm, seed=seed, domain=domain)
+        distinct = grow_trees(s, arm, self.num_envs, seed=seed, domain=domain)
         trees, index = share_trees(distinct, self.num_envs)
-        contacts = Contacts(line_radius=s.target.radius)
+        contacts = self._contacts(distinct, all_on=domain == "test")
         names = names_of(s.effects)
         self.simulator = ArmSimulator(trees, arm, contacts=contacts, device=self._device, effects=names)
         give_effects(self.simulator, s.effects)
@@ -107,6 +110,17 @@ class Powerline(VecEnv):
         hand = self.simulator._arm.kernel[1].end_position
         points = int(seed_sequence(seed, domain).generate_state(5)[4] >> 1)
         self.sensor = Sensor(capsules, target, hand, self.cfg.sensor, seed=points, device=self._device)
+
+    def _contacts(self, trees: list[Tree], *, all_on: bool) -> Contacts:
+        """Return what touches what: in tests the arm touches itself, branches each other, and all the ground too.
+
+        The ground is level with the lowest foot that a trunk can have.
+        """
+        scene = self.cfg.scene
+        if not all_on:
+            return Contacts(line_radius=scene.target.radius)
+        ground = scene.height[0] - max(fork_height(tree) for tree in trees)
+        return Contacts(line_radius=scene.target.radius, arm_arm=True, branch_branch=True, ground=ground, capacity=64)
 
     def _make_rules(self, seed: int, domain: str) -> Any:
         out, s = kernels.TaskRules(), self.cfg
@@ -133,7 +147,7 @@ class Powerline(VecEnv):
         self._warp = {
             "actions": self._array(n, dofs), "observation": self._array(n, width), "reward": self._array(n),
             "done": self._array(n, dtype=wp.bool), "time_out": self._array(n), "log": self._array(n, len(METRICS)),
-            "sums": self._array(n, len(METRICS) + 1), "waiting": self._array(self.cfg.action_delay + 1, n, dofs),
+            "sums": self._array(n, len(METRICS) + 1), "waiting": self._array(self.cfg.action_delay + 2, n, dofs),
         }  # fmt: skip
         if slots > 1:
             self._warp |= {"now": self._array(n, width), "kept": self._array(slots, n, width)}
@@ -159,8 +173,15 @@ class Powerline(VecEnv):
         limit = sim.arm.velocity_limit.astype(np.float32)
         self._speed_limit: wp.array = wp.array(limit, dtype=wp.float32, device=self._device)
         self._slot: wp.array = wp.array(sim.model.world_slot.astype(np.int32), device=self._device)
+        self._slices = [self._slice(k + 1) for k in range(self.cfg.control_periods)]
         self._max_noise = wp.from_torch(self.sensor.max_noise)
         self._scores = [wp.from_torch(self.sensor.occlusion), wp.from_torch(self.sensor.breach)]
+
+    def _slice(self, period: int) -> Launches:
+        """Return the launch that sets the servos' targets for a control period of the policy step, from 1."""
+        w, share = self._warp, period / self.cfg.control_periods
+        inputs = [w["actions"], self._speed_limit, share, self._counters, w["waiting"], self._arm.target]
+        return Launches([recorded(kernels.act, self.num_envs, inputs, self._device)])
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
@@ -213,8 +234,9 @@ class Powerline(VecEnv):
         """Launch one policy step; nothing is allocated, copied to the host or waited for."""
         w, y, c = self._warp, self._arm, self._counters
         self._launch(kernels.judge, *self._scores, y.qd, self._rules, c, w["reward"])
-        self._launch(kernels.act, w["actions"], self._speed_limit, c, w["waiting"], y.target)
-        self.simulator.step(self.cfg.physics_steps)
+        for act in self._slices:
+            act()
+            self.simulator.step(self.cfg.period_steps)
         self._launch(kernels.close, self.simulator.state.alive.entries(), self._slot, y.q, y.qd, self._rules, c,
                      w["waiting"], self._max_noise, w["done"], w["time_out"], w["log"], w["sums"])  # fmt: skip
         self._restart()
@@ -288,6 +310,25 @@ class Powerline(VecEnv):
             ValueError: The snapshot is of another task.
         """
         put_back(self._tensors(), snapshot)
+
+    # ---- what a test tells ---------------------------------------------------------------------------------------
+
+    def watch(self) -> Overlaps:
+        """Return what counts how arm, branches, line and ground pass through each other, from the present state on."""
+        foot: Any = wp.from_torch(self.scene.root, dtype=wp.vec3)
+        return Overlaps(self.simulator, foot)
+
+    def scenes(self) -> dict[str, float]:
+        """Return what the present scenes are like: branches at the target, and shares of them [%] by rule.
+
+        Of scenes in which nothing is left out (`all_scenes`) those shares are what the task leaves out otherwise.
+        """
+        share = {f"{name} %": 100.0 * float(found.float().mean()) for name, found in self.scene.left_out().items()}
+        kept = 100.0 * float((self.scene.breach == 0.0).float().mean())
+        return {
+            "branches at the target": float(self.scene.crowd[:, 3].mean()),
+            "places that keep the rules %": kept,
+        } | share
 
     def render(self, world: int) -> NDArray[np.uint8]:
         """Return a picture of one world, [height, width, 3]."""

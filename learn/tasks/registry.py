@@ -32,6 +32,9 @@ class TaskRegistry:
         make: Called with name, settings, num_envs, seed, device and test (all contacts on); returns the task.
         of_wood: Called with settings, the wood of a measured branch and its effects; returns the settings of tasks
             whose trees are of it. None where tasks have no trees.
+        columns: Called with settings; returns the first column of every feature of the observations. None where that is
+            not known.
+        all_scenes: Called with settings; returns those of tasks that leave no scene out. None where none is left out.
     """
 
     names: tuple[str, ...]
@@ -39,6 +42,8 @@ class TaskRegistry:
     presets: Mapping[str, Any]
     make: Callable[..., Task]
     of_wood: Callable[[Any, Wood, WoodEffects], Any] | None = None
+    columns: Callable[[Any], dict[str, int]] | None = None
+    all_scenes: Callable[[Any], Any] | None = None
 
     @property
     def settings(self) -> type:
@@ -93,10 +98,14 @@ def builtin_tasks() -> TaskRegistry:
         InputError: rsl-rl is not installed.
     """
     require_rsl_rl()
+    from ...sim.arms.jaco2 import jaco2
     from .clearing import make_task
-    from .settings import GROUPS, NAMES, PRESETS, of_wood
+    from .settings import GROUPS, NAMES, PRESETS, all_scenes, columns_of, of_wood
 
-    return TaskRegistry(NAMES, GROUPS, PRESETS, make_task, of_wood)
+    dofs = jaco2().num_dofs
+    return TaskRegistry(
+        NAMES, GROUPS, PRESETS, make_task, of_wood, lambda settings: columns_of(settings, dofs)[0], all_scenes
+    )
 
 
 def plain(settings: Any) -> dict[str, Any]:

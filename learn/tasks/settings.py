@@ -43,8 +43,8 @@ class TaskSettings:
         scene: Ranges of trees, places and dynamics. Target, ``near`` and ``points`` are set by the task.
         sensor: Clouds and scores. Shape and clearance are set by the task.
         policy_rate: Actions a second [Hz] (thesis: 10 in chapter 4, 60 in chapter 5).
-        control_rate: Speed commands that the arm is given a second [Hz] (thesis 4: 60); every action is held for
-            control_rate / policy_rate of them.
+        control_rate: Speed commands that the arm is given a second [Hz] (thesis 4: 60): control_rate / policy_rate of
+            them lead in equal slices from one action to the next, the last one being the action.
         episode_steps: Policy steps of an episode (thesis 5.5: 1000 at 60 Hz).
         success_steps: Steps without occlusion in a row that count as success (thesis 5.5: 10).
         touch_force: Net force on a link that counts as touch [N] (thesis 4: 40).
@@ -91,9 +91,19 @@ class TaskSettings:
         return self
 
     @property
+    def control_periods(self) -> int:
+        """Control periods of a policy step."""
+        return round(self.control_rate / self.policy_rate)
+
+    @property
+    def period_steps(self) -> int:
+        """Physics steps of a control period."""
+        return round(_STEP_RATE / self.control_rate)
+
+    @property
     def physics_steps(self) -> int:
         """Physics steps of a policy step."""
-        return round(_STEP_RATE / self.policy_rate)
+        return self.control_periods * self.period_steps
 
     def of(self, name: str) -> TaskSettings:
         """Return the settings with a task's target, and with scene and sensor agreeing on the clouds."""
@@ -118,6 +128,11 @@ def columns_of(settings: TaskSettings, dofs: int) -> tuple[dict[str, int], int]:
 def of_wood(settings: TaskSettings, wood: Wood, effects: WoodEffects) -> TaskSettings:
     """Return the settings with trees of the wood of a measured branch, and the effects that it was found to have."""
     return replace(settings, scene=replace(settings.scene, wood=wood, effects=effects))
+
+
+def all_scenes(settings: TaskSettings) -> TaskSettings:
+    """Return the settings without the rules that leave out what one arm can hardly clear."""
+    return replace(settings, scene=replace(settings.scene, feasible=False, branches=1))
 
 
 def check_name(name: str) -> None:

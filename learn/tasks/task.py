@@ -22,7 +22,9 @@ share of steps inside the safety margin; steps without occlusion."""
 class Task(Protocol):
     """An rsl-rl ``VecEnv`` with a name, a version and a state that can be kept.
 
-    Worlds restart by themselves when their episode ends. Buffers may be written in place by the next step.
+    Worlds restart by themselves when their episode ends. Buffers may be written in place by the next step. A task may
+    have two methods more, for tests: ``scenes()``, which returns numbers about the present worlds by name, and
+    ``watch()``, which returns a `Watch`.
 
     Attributes:
         name: Name in the registry.
@@ -64,6 +66,16 @@ class Task(Protocol):
 
     def render(self, world: int) -> NDArray[np.uint8]:
         """Return a picture of one world, shape [H, Wd, 3]."""
+
+
+class Watch(Protocol):
+    """Counts what passes through what in a task's worlds, if the task has a ``watch()`` that returns one."""
+
+    def measure(self, mask: torch.Tensor) -> None:
+        """Look at the masked worlds (bool, [W]) as they are now."""
+
+    def rows(self) -> dict[str, dict[str, float]]:
+        """Return by what overlaps: ``steps %``, share of the steps looked at, and ``deepest mm``."""
 
 
 def require_rsl_rl() -> None:

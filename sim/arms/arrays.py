@@ -266,12 +266,12 @@ class TouchArrays:
         out.count, out.link = integer_array(count, m.device), integer_array(link, m.device)
         out.slot_capsule = integer_array(capsule, m.device)
         self._integers = [out.count, out.link, out.slot_capsule]
-        self._lay_pairs(out, [np.zeros((0, 2), np.int64)] * m.groups)
+        self._lay_pairs(out, [np.zeros((0, 3), np.int64)] * m.groups)
         return out
 
     def _lay_pairs(self, shapes: Any, found: list[IntArray]) -> None:
         count = np.array([len(f) for f in found])
-        pair = np.zeros((len(found), max(int(count.max()), 1), 2), np.int32)
+        pair = np.zeros((len(found), max(int(count.max()), 1), 3), np.int32)
         for g, f in enumerate(found):
             pair[g, : len(f)] = f
         self._pair: wp.array = wp.array(pair, dtype=int, device=self.device)
@@ -281,8 +281,8 @@ class TouchArrays:
     def pair_branches(self, start: Array, end: Array, radius: Array) -> None:
         """Let branches touch each other: all capsules of a world that are apart where they stand now.
 
-        Those that overlap, as a branch and the one it grows from, never touch. A group's worlds share one list: what
-        overlaps in one of them touches in none.
+        Those that overlap, as a branch and the one it grows from, never touch. A group's worlds share one list of
+        pairs, with a bit for every lane in which the pair may touch.
 
         Args:
             start: First ends of the branches' axes [m], [worlds, capsules, 3].
@@ -295,14 +295,13 @@ class TouchArrays:
         world[np.asarray(m.world_slot)] = np.arange(m.num_worlds)
         for g, count in enumerate(self._shapes.count.numpy()):
             one, two = np.triu_indices(int(count), 1)
-            apart = np.ones(len(one), bool)
-            for slot in range(g * m.width, (g + 1) * m.width):
-                if world[slot] >= 0:
-                    a, b = capsule[slot, one], capsule[slot, two]
-                    both = (a >= 0) & (b >= 0)
-                    w = world[slot]
-                    apart[both] &= _apart(start[w], end[w], radius[w], a[both], b[both])
-            found.append(np.stack([one[apart], two[apart]], axis=1))
+            lanes = np.zeros(len(one), np.int64)
+            for lane in range(m.width):
+                w, own = world[g * m.width + lane], capsule[g * m.width + lane]
+                a, b = own[one], own[two]
+                both = (a >= 0) & (b >= 0) & (w >= 0)
+                lanes[both] |= _apart(start[w], end[w], radius[w], a[both], b[both]).astype(np.int64) << lane
+            found.append(np.stack([one, two, lanes], axis=1)[lanes > 0])
         self._lay_pairs(self._shapes, found)
 
     def _make_touch(self, launcher: Launcher) -> Any:

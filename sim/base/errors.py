@@ -29,13 +29,21 @@ def check_seed(source: str, seed: int) -> None:
         raise InputError(source, "--seed", str(seed), f"0 to {MOST_SEED}")
 
 
-_SHORT = reprlib.Repr()
+class _Short(reprlib.Repr):
+    """Long lists and texts cut short; integers that Python refuses to write out are told by their size."""
+
+    def repr_int(self, x: int, level: int) -> str:
+        """Return an integer, or how long it is."""
+        return repr(x) if x.bit_length() <= 256 else f"an integer of {x.bit_length()} bits"
+
+
+_SHORT = _Short()
 _SHORT.maxlist = _SHORT.maxdict = _SHORT.maxtuple = 8
 _SHORT.maxstring = _SHORT.maxother = 60
 
 
 def shortened(value: object) -> str:
     """Return a value as an error shows it, sixty characters at most, without writing out all of a large one."""
-    plain = value is None or isinstance(value, str | int | float)
+    plain = value is None or isinstance(value, str | float)
     text = "null" if value is None else repr(value) if plain else _SHORT.repr(value)  # aliases may repeat without end
     return text if len(text) <= 60 else text[:57] + "..."

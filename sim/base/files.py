@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import shutil
 import stat
@@ -104,7 +105,7 @@ def check_regular(file: Path, limit: int = TEXT_LIMIT) -> None:
 
 
 def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
-    """Read a UTF-8 text file of at most ``limit`` bytes.
+    """Read a text file of at most ``limit`` bytes: UTF-8, or UTF-16 that begins with its byte-order mark.
 
     Raises:
         InputError: The file is missing, a folder, a device or a pipe, too large, unreadable or not text.
@@ -112,10 +113,10 @@ def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
     file = Path(path)
     check_regular(file, limit)
     try:
-        return file.read_text(encoding="utf-8")
+        return file.read_text(encoding=_encoding(file))
     except ValueError as e:  # a NUL in the name, or bytes that are no text
         if isinstance(e, UnicodeDecodeError):
-            raise InputError(file, f"byte {e.start}", "bytes that are not UTF-8 text", "a text file") from None
+            raise InputError(file, f"byte {e.start}", "bytes that are not UTF-8 text", "a text file in UTF-8") from None
         raise InputError(repr(str(file)), "", "a name with a NUL", "a file's name") from None
     except FileNotFoundError:
         raise InputError(file, "", "no such file", "an existing file") from None
@@ -125,6 +126,12 @@ def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
         raise InputError(file, "", "a file without permission to read", "a readable file") from None
     except OSError as e:  # a name that is too long, links that lead in a circle
         raise InputError(_shortened(file), "", str(e.strerror).lower(), "a readable file") from None
+
+
+def _encoding(file: Path) -> str:
+    with file.open("rb") as stream:
+        mark = stream.read(2)
+    return "utf-16" if mark in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
 
 
 def _shortened(file: Path) -> str:

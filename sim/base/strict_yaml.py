@@ -147,17 +147,30 @@ def _unit(location: Location) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML with each key once and with 1e-3 read as a number, as YAML 1.2 does."""
+    """YAML with each key once and plain, integers of 64 bits, and 1e-3 read as a number, as YAML 1.2 does."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
-        for key, _ in node.value:
+        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
+            if not isinstance(key, yaml.ScalarNode):
+                found = f"a {'list' if isinstance(key, yaml.SequenceNode) else 'mapping'} as a key"
+                raise yaml.constructor.ConstructorError(None, None, found, key.start_mark)
             if key.value in seen:
                 raise yaml.constructor.ConstructorError(None, None, f"the key '{key.value}' twice", key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        written = str(self.construct_scalar(node))
+        if len(written) > _DIGITS or abs(value := int(super().construct_yaml_int(node))) >= 2**63:
+            found = f"an integer of {len(written)} characters"
+            raise yaml.constructor.ConstructorError(None, None, found, node.start_mark)
+        return value
 
+
+#: Characters of an integer, signs, points and a prefix included: 64 binary digits in groups of four.
+_DIGITS = 100
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
 )

@@ -49,6 +49,10 @@ def dry_friction_at_joint(j: Any, p: Any, r: Any):
 
 _TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")
 _BEND = EffectParameter("bend_rad", "rad", 0.0, lambda s: 0.03 * s.angle, tries=1, optional=True)
+#: Bearings of a pendulum rub with less than a thousandth of what gravity pulls.
+_TORQUE_AT_JOINT = EffectParameter(
+    "torque_Nm", "N m", lambda s: 1e-5 * s.torque, lambda s: s.torque, scale="log", tries=4
+)
 _BEND_AT_JOINT = EffectParameter(
     "bend_rad", "rad", lambda s: 3e-4 * s.angle, lambda s: 0.03 * s.angle, neutral=5e-4, scale="log", tries=1,
     typical=lambda s: 1e-3 * s.angle, optional=True,
@@ -65,6 +69,6 @@ EFFECT = register(
         mistaken_for=("hysteresis_boucwen", "plastic_set", "quadratic_drag"),
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
         branch=Law("joint", (_TORQUE, _BEND, _GRADUAL), dry_friction, memory=1),
-        joint=Law("joint", (_TORQUE, _BEND_AT_JOINT, _GRADUAL), dry_friction_at_joint, memory=1),
+        joint=Law("joint", (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL), dry_friction_at_joint, memory=1),
     )
 )

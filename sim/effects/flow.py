@@ -8,6 +8,8 @@ from ...kernels.lanes.algebra import add, div, dot, mul, sub
 from ...kernels.lanes.real import fma, real
 from .registry import EffectParameter
 
+#: Largest pressure of wind on wood [Pa]: 0.6 v^2 at 70 m/s, a hurricane of category 5 (Simpson 1974, Weatherwise 27).
+STORM = 3000.0
 #: Share of a flow that counts only as far as it is across a segment (cross-flow principle).
 ACROSS = EffectParameter("across", "1", 0.0, 1.0, tries=2, optional=True)
 

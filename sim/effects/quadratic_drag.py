@@ -1,4 +1,9 @@
-"""Drag that grows with the square of the speed."""
+"""Drag that grows with the square of the speed.
+
+In air a rod has c = rho C / 2 = 0.6 kg/m^3 of its projected area, with a coefficient C of about one (Hoerner 1965,
+3-9); other shapes have 0.3 to 2. Leaves and twigs count as wood here, and their projected area may be a hundred times
+that of the wood. So nature has 0.2 to 100 kg/m^3; water would have 500.
+"""
 
 from typing import Any
 
@@ -50,6 +55,7 @@ EFFECT = register(
                     lambda s: 0.005 * s.force / (s.area * s.speed**2),
                     lambda s: 10.0 * s.force / (s.area * s.speed**2),
                     scale="log",
+                    plausible=(0.2, 100.0),
                 ),
                 ACROSS,
                 EffectParameter("separate", "1", 0.0, 1.0, tries=1, optional=True),

@@ -82,6 +82,8 @@ class EffectParameter:
         reach: Change of the value (of its logarithm) over which the response is about linear, for searches; None takes
             half the box, or one for a logarithm.
         optional: Whether a file may leave it out; it is neutral then.
+        plausible: Least and largest value that nature or a sensor has, beyond which a fitted effect stands in for
+            another; None where none is known. The effect's file says where the numbers are from.
     """
 
     name: str
@@ -94,6 +96,7 @@ class EffectParameter:
     tries: int | Callable[[Setting], Sequence[float]] | None = None
     reach: Bound | None = None
     optional: bool = False
+    plausible: tuple[float, float] | None = None
 
 
 def axis_parameter(*, circle: bool, tries: int) -> EffectParameter:

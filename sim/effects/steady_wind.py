@@ -6,7 +6,7 @@ import warp as wp
 
 from ...kernels.lanes.algebra import add, div, mul, norm, sub
 from ...kernels.lanes.real import real
-from .flow import ACROSS, across
+from .flow import ACROSS, STORM, across
 from .registry import Effect, EffectParameter, Law, register
 
 
@@ -43,7 +43,11 @@ EFFECT = register(
             (
                 *(
                     EffectParameter(
-                        f"pressure_{c}_Pa", "Pa", lambda s: -3.0 * s.force / s.area, lambda s: 3.0 * s.force / s.area
+                        f"pressure_{c}_Pa",
+                        "Pa",
+                        lambda s: -3.0 * s.force / s.area,
+                        lambda s: 3.0 * s.force / s.area,
+                        plausible=(-STORM, STORM),
                     )
                     for c in "xyz"
                 ),

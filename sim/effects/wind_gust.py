@@ -6,7 +6,7 @@ import warp as wp
 
 from ...kernels.lanes.algebra import add, div, mul, sub
 from ...kernels.lanes.real import cos_root, fma, fnma, real, round_, sin_ratio
-from .flow import ACROSS
+from .flow import ACROSS, STORM
 from .registry import Effect, EffectParameter, Law, register
 from .steady_wind import pressed
 
@@ -29,7 +29,8 @@ def wind_gust(b: Any, p: Any):
 
 
 def _pressure(name: str) -> EffectParameter:
-    return EffectParameter(name, "Pa", lambda s: -2.0 * s.force / s.area, lambda s: 2.0 * s.force / s.area)
+    ends = [lambda s: -2.0 * s.force / s.area, lambda s: 2.0 * s.force / s.area]
+    return EffectParameter(name, "Pa", *ends, plausible=(-STORM, STORM))
 
 
 EFFECT = register(

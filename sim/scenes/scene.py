@@ -1,8 +1,8 @@
 """Scenes: trees grown once on the host, and where tree and line of every world stand, drawn on the device.
 
 A scene is one tree within an arm's reach and a target (a power line, say) that its branches cover. Trees are grown and
-culled once a run; every world has one of them for good. A place of tree and target is drawn for chosen worlds in one
-launch (`kernels.tasks.scene`), from counters alone: seed, world and episode give the same place whenever it is
+culled once a run, one for every world, which keeps it for good. A place of tree and target is drawn for chosen worlds
+in one launch (`kernels.tasks.scene`), from counters alone: seed, world and episode give the same place whenever it is
 asked for.
 
 Training and tests never share a seed: both the trees and the device's key come from ``SeedSequence([domain, seed])``,
@@ -75,7 +75,7 @@ class SceneSettings:
         species: Ternary species of the trees (`sim.trees.species`).
         order: Order of the trees: 2 has 17 links before culling, 3 has 53.
         most_links: Links that a tree keeps at most: those nearest to where an arm may be.
-        distinct: Number of different trees, shared by all worlds.
+        distinct: Number of different trees, which the worlds have in turn; None grows one for every world.
         noise: Standard deviation of the trees' parameters, relative (thesis 5.4.1: 0.1).
         scale: Metres per unit of the species' lengths.
         upper, lower, decay: Springs as in `stiffness.rudimentary` [N m/rad]; the defaults are its own.
@@ -98,6 +98,9 @@ class SceneSettings:
         near: Distance of a branch point from a point of the target at which the pair counts as occluding (d_th) [m].
         pairs: Number of such pairs expected at the start, of ``points`` x ``points`` points. A score of 1 takes 200;
             with many more the score does not change until most of the way is done.
+        branches: Least number of branches (links) that reach into the region whose points count as occluding.
+        feasible: Whether to leave out what one arm can hardly clear: firm wood or branches deeper than ``depth`` in
+            that region, more than the upper bound of ``pairs``. `Scene.left_out` tells where that is so.
         points: Points of each cloud.
         gap: Free space between arm and branches at the start [m].
         target_gap: Free space between arm and the target's axis at the start [m].
@@ -109,7 +112,7 @@ class SceneSettings:
     species: str = "Ta"
     order: int = 2
     most_links: int = 40
-    distinct: int = 64
+    distinct: int | None = None
     noise: float = 0.1
     scale: float = 0.004
     upper: float = 120.0
@@ -128,7 +131,9 @@ class SceneSettings:
     depth: Range = (0.02, 0.10)
     reach: Range = (0.30, 0.75)
     near: float = 0.10
-    pairs: Range = (150.0, 350.0)
+    pairs: Range = (150.0, 600.0)
+    branches: int = 3
+    feasible: bool = True
     points: int = 512
     gap: float = 0.02
     target_gap: float = 0.10
@@ -149,7 +154,8 @@ class SceneSettings:
         for name in ("stiffness", "damping", "distance", "pairs"):
             low = getattr(self, name)[0]
             _need(low > 0.0, name, f"{low:g}", "above zero")
-        _need(self.distinct >= 1, "distinct", str(self.distinct), "1 or more trees")
+        _need(self.distinct is None or self.distinct >= 1, "distinct", str(self.distinct), "1 or more trees")
+        _need(self.branches >= 1, "branches", str(self.branches), "1 or more")
         _need(self.attempts >= 1, "attempts", str(self.attempts), "1 or more")
         _need(self.most_links >= 2, "most_links", str(self.most_links), "2 or more")
         _need(0.0 <= self.tilt < 90.0, "tilt", f"{self.tilt:g} degrees", "0 to below 90")
@@ -181,8 +187,20 @@ def arm_reach(arm: Arm) -> tuple[Array, float]:
     return shoulder, float(lengths.sum() + np.linalg.norm(arm.end_position))
 
 
-def grow_trees(settings: SceneSettings, arm: Arm, *, seed: int, domain: str = "training") -> list[Tree]:
-    """Grow the distinct trees of a run: trunk fixed, springs that hold the rest pose, culled to what the arm reaches.
+def grow_trees(
+    settings: SceneSettings, arm: Arm, worlds: int, *, seed: int, domain: str = "training"
+) -> list[Tree]:  # fmt: skip
+    """Grow the trees of a run: trunk fixed, springs that hold the rest pose, culled to what the arm reaches.
+
+    Tree i depends on settings, arm, seed, domain and i alone. Order 2 takes about 2 ms a tree on one core, order 3
+    about 4.
+
+    Args:
+        settings: Their number is ``distinct``, at most one a world.
+        arm: The arm that is to reach them.
+        worlds: Number of worlds.
+        seed: Seed of the run.
+        domain: ``training`` or ``test`` (`DOMAINS`).
 
     Raises:
         InputError: The settings (`SceneSettings.check`), a tree out of reach from every side, or wood too soft for it.
@@ -190,8 +208,9 @@ def grow_trees(settings: SceneSettings, arm: Arm, *, seed: int, domain: str = "t
     shoulder, reach = arm_reach(arm)
     settings.check(reach)
     grown, springs = seed_sequence(seed, domain).generate_state(2, np.uint64)
+    _need(worlds >= 1, "worlds", str(worlds), "1 or more")
     forest = grow_forest(
-        settings.species, settings.distinct, settings.order,
+        settings.species, min(settings.distinct or worlds, worlds), settings.order,
         noise=settings.noise, seed=int(grown), scale=settings.scale, fixed_base=True,
     )  # fmt: skip
     rng = np.random.default_rng(int(springs))
@@ -224,7 +243,7 @@ def _culled(tree: Tree, settings: SceneSettings, shoulder: float, reach: float) 
     start, end, radius = _rest_capsules(tree)
     share = np.linspace(0.0, 1.0, _ALONG)[:, None, None]
     points = start + share * (end - start)
-    span, rise = np.hypot(points[..., 0], points[..., 1]), points[..., 2] - _fork_height(tree) - shoulder
+    span, rise = np.hypot(points[..., 0], points[..., 1]), points[..., 2] - fork_height(tree) - shoulder
     aside = span - np.clip(span, *settings.distance)
     above = rise + np.clip(-rise, *settings.height)
     away = (np.hypot(aside, above) - radius).min(axis=0)
@@ -247,7 +266,7 @@ def _carried_and(tree: Tree, shapes: np.ndarray) -> np.ndarray:
     return keep
 
 
-def _fork_height(tree: Tree) -> float:
+def fork_height(tree: Tree) -> float:
     """Height of the trunk's upper end above its foot, joints at zero [m]."""
     turned = quat_rotate(tree.rotation[0], np.stack([tree.shape_start[0], tree.shape_end[0]]))
     return float((tree.position[0] + turned)[:, 2].max())
@@ -280,6 +299,8 @@ class Scene:
         target: Ends of the axes around which the region to clear lies, for perception, Warp arrays [worlds, strips].
         stiffness, damping: Factors drawn for each world, [worlds].
         breach: How far each world's place breaks a rule [m], 0 where it breaks none, [worlds].
+        crowd: What is at each world's target (`kernels.tasks.scene.crowd_of`): metres of firm wood and of too deep
+            branches, expected pairs, number of branches, [worlds, 4].
     """
 
     def __init__(
@@ -303,7 +324,7 @@ class Scene:
         self.device = simulator.model.device
         shoulder, reach = arm_reach(simulator.arm)
         settings.check(reach)
-        self._arrays = _scene_arrays(distinct, index, simulator.arm, shoulder, settings.firm, self.device)
+        self._arrays = _scene_arrays(distinct, index, simulator.arm, shoulder, settings, self.device)
         self._rules = _scene_rules(settings, simulator.arm)
         words = seed_sequence(seed, domain).generate_state(4)[2:]
         self._key = wp.vec2ui(int(words[0]), int(words[1]))
@@ -314,9 +335,15 @@ class Scene:
     stiffness: torch.Tensor
     damping: torch.Tensor
     breach: torch.Tensor
+    crowd: torch.Tensor
+
+    def left_out(self) -> dict[str, torch.Tensor]:
+        """Return by rule in which worlds the place is one that ``feasible`` leaves out, bool [worlds] on the device."""
+        firm, deep, pairs = self.crowd[:, 0] > 0.0, self.crowd[:, 1] > 0.0, self.crowd[:, 2] > self.settings.pairs[1]
+        return {"firm wood": firm, "deep branches": deep, "many pairs": pairs, "any": firm | deep | pairs}
 
     def _allocate(self, worlds: int) -> None:
-        kinds: dict[str, Any] = {"root": wp.vec3, "turn": wp.vec4}
+        kinds: dict[str, Any] = {"root": wp.vec3, "turn": wp.vec4, "crowd": wp.vec4}
         kinds |= dict.fromkeys(("stiffness", "damping", "breach"), wp.float32)
         self._drawn = {name: wp.zeros(worlds, dtype=kind, device=self.device) for name, kind in kinds.items()}
         for name, array in self._drawn.items():
@@ -357,7 +384,7 @@ class Scene:
         sim, d = self._simulator, self._drawn
         outputs = [
             d["root"], d["turn"], sim.line.start, sim.line.end, self.target.start, self.target.end,
-            d["stiffness"], d["damping"], wp.from_torch(sim.friction), d["breach"],
+            d["stiffness"], d["damping"], wp.from_torch(sim.friction), d["breach"], d["crowd"],
         ]  # fmt: skip
         inputs = [mask, episode, self._arrays, self._rules, self._key, *self._tried]
         return [
@@ -384,15 +411,18 @@ class Scene:
         return self._launch(kernels.scale_joints, field.shape[:2], inputs)
 
 
-def _scene_arrays(distinct: list[Tree], index: IntArray, arm: Arm, shoulder: Array, firm: float, device: Any) -> Any:
+def _scene_arrays(
+    distinct: list[Tree], index: IntArray, arm: Arm, shoulder: Array, settings: SceneSettings, device: Any
+) -> Any:  # fmt: skip
     """Return the kernels' constant arrays: branches in their trees' frames, the arm at home."""
-    rows = [(*_rest_capsules(tree), side_compliance(tree) < _PUSH / firm) for tree in distinct]
+    yields, firm = [side_compliance(tree) for tree in distinct], settings.firm
+    rows = [(*_rest_capsules(tree), c < _PUSH / firm) for tree, c in zip(distinct, yields, strict=True)]
     most = max(len(row[0]) for row in rows)
     out = kernels.SceneArrays()
     for k, name in enumerate(("start", "end")):
         padded = np.stack([np.pad(row[k], ((0, most - len(row[k])), (0, 0))) for row in rows])
         setattr(out, name, wp.array(padded.astype(np.float32), dtype=wp.vec3, device=device))
-    soft = [np.flatnonzero(~row[3]) for row in rows]
+    soft = [np.flatnonzero(c >= _PUSH / firm if settings.feasible else c > 0.0) for c in yields]
     for tree, free in zip(distinct, soft, strict=True):
         _need(len(free) > 0, "firm", f"{tree.name} with no link that {firm:g} N push aside", "softer or smaller wood")
     out.num_soft = wp.array([len(free) for free in soft], dtype=wp.int32, device=device)
@@ -401,7 +431,7 @@ def _scene_arrays(distinct: list[Tree], index: IntArray, arm: Arm, shoulder: Arr
         padded = np.stack([np.pad(row[k], (0, most - len(row[k]))) for row in rows])
         setattr(out, name, wp.array(padded, dtype=dtype, device=device))
     out.count = wp.array([len(row[0]) for row in rows], dtype=wp.int32, device=device)
-    out.fork = wp.array([_fork_height(tree) for tree in distinct], dtype=wp.float32, device=device)
+    out.fork = wp.array([fork_height(tree) for tree in distinct], dtype=wp.float32, device=device)
     out.tree = wp.array(index, dtype=wp.int32, device=device)
     start, end, radius = home_capsules(arm)
     out.home_start = wp.array(start.astype(np.float32), dtype=wp.vec3, device=device)
@@ -422,17 +452,18 @@ def side_compliance(tree: Tree) -> Array:
 
     The joints between it and the ground in series, C = sum_j (|r_j|^2 I - r_j r_j^T) / K_j.
     """
-    joint = rest_pose(tree)[0]
-    out = np.zeros(len(tree.shape_link))
-    for s, middle in enumerate(np.mean(shape_ends(tree), axis=0)):
-        total, link = np.zeros((3, 3)), int(tree.shape_link[s])
-        while link >= 0:
-            arm = middle - joint[link]
-            if tree.joint[link] != Joint.FIXED:
-                total += (arm @ arm * np.eye(3) - np.outer(arm, arm)) / tree.stiffness[link]
-            link = int(tree.parent[link])
-        out[s] = np.linalg.eigvalsh(total[:2, :2])[0]
-    return out
+    poses = rest_pose(tree)
+    carries = np.zeros((tree.num_links, tree.num_links), bool)  # [i, j]: whether joint j moves link i
+    for i, p in enumerate(tree.parent):
+        carries[i] = carries[p] if p >= 0 else False
+        carries[i, i] = tree.joint[i] != Joint.FIXED
+    lever = np.mean(shape_ends(tree, poses), axis=0)[:, None] - poses[0]
+    with np.errstate(divide="ignore"):
+        soft = np.where(carries[tree.shape_link], 1.0 / tree.stiffness, 0.0)
+    total = np.einsum("sl,sli,sli->s", soft, lever, lever)[:, None, None] * np.eye(3)
+    total = total - np.einsum("sl,sli,slj->sij", soft, lever, lever)
+    least: Array = np.linalg.eigvalsh(total[:, :2, :2])[:, 0]
+    return least
 
 
 def home_capsules(arm: Arm) -> tuple[Array, Array, Array]:
@@ -459,5 +490,6 @@ def _scene_rules(settings: SceneSettings, arm: Arm) -> Any:
     target = settings.target
     out.length, out.clearance, out.width = wp.vec2(*target.length), target.clearance, target.width
     out.strips, out.rounded = target.strips, int(target.rounded)
+    out.branches, out.feasible = float(settings.branches), int(settings.feasible)
     out.points, out.attempts = float(settings.points), settings.attempts
     return out

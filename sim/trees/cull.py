@@ -65,6 +65,8 @@ def keep_links(tree: Tree, keep: np.ndarray) -> Tree:
 
     A link may only be left out with everything that it carries.
     """
+    if keep.all():
+        return tree
     return _subset(_lumped(tree, keep), keep)
 
 

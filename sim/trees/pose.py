@@ -27,7 +27,20 @@ def coordinate_start(tree: Tree) -> IntArray:
 
 def rest_pose(tree: Tree) -> tuple[Array, Array]:
     """Body frames at joint zero: positions [L, 3] in metres and orientations [L, 4] (w, x, y, z)."""
-    return pose(tree, zero_qpos(tree))
+    pos, quat = tree.position.copy(), tree.rotation.copy()
+    for links in generations(tree.parent)[1:]:
+        above = tree.parent[links]
+        pos[links] = pos[above] + quat_rotate(quat[above], pos[links])
+        quat[links] = quat_multiply(quat[above], quat[links])
+    return pos, quat
+
+
+def generations(parent: IntArray) -> list[IntArray]:
+    """Return the links by their number of ancestors, ascending in each; ``parent`` [L] is -1 for the world."""
+    depth: list[int] = []
+    for p in parent.tolist():
+        depth.append(0 if p < 0 else depth[p] + 1)
+    return [np.flatnonzero(np.array(depth) == d) for d in range(max(depth, default=-1) + 1)]
 
 
 def pose(tree: Tree, qpos: Array) -> tuple[Array, Array]:

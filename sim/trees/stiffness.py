@@ -14,7 +14,7 @@ import numpy as np
 from ..base.errors import InputError
 from ..base.rotation import quat_matrix, quat_rotate
 from ..base.types import Array
-from .pose import rest_pose
+from .pose import generations, rest_pose
 from .tree import Joint, Tree
 
 DAMPING_TIME = 0.1
@@ -156,11 +156,11 @@ def _carried(tree: Tree) -> tuple[Array, Array]:
     """
     turn = quat_matrix(tree.rotation)
     mass, moment = tree.mass.copy(), tree.mass[:, None] * tree.com
-    for i in reversed(range(tree.num_links)):
-        p = tree.parent[i]
-        if p >= 0:
-            mass[p] += mass[i]
-            moment[p] += mass[i] * tree.position[i] + turn[i] @ moment[i]
+    for links in reversed(generations(tree.parent)[1:]):
+        above = tree.parent[links]
+        np.add.at(mass, above, mass[links])
+        hanging = mass[links, None] * tree.position[links] + np.einsum("nij,nj->ni", turn[links], moment[links])
+        np.add.at(moment, above, hanging)
     return mass, moment - mass[:, None] * tree.anchor
 
 

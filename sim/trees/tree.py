@@ -7,15 +7,19 @@ parent's frame when its joint is at zero, and the joint turns it about `anchor`,
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base.errors import InputError
 from ..base.types import Array, IntArray
 
+#: Largest number that a tree may hold, in SI units: products of three of them are still numbers of single precision.
+LARGEST = 1.0e12
 _LATER: Any = None  # replaced by an array of the right length in Tree.__post_init__
 
 
@@ -138,28 +142,39 @@ class Tree:
         if len(set(self.link_name)) != self.num_links:
             twice = sorted(n for n in set(self.link_name) if self.link_name.count(n) > 1)
             raise InputError(src, f"link {twice[0]}", "the name twice", "unique link names")
-        for i, name in enumerate(self.link_name):
-            self._validate_link(src, i, f"link {name}")
+        for sound, found, allowed, values in self._checks():
+            if not sound.all():
+                i = int(np.argmin(sound))
+                raise InputError(src, f"link {self.link_name[i]}", f"{found} {values[i]}", allowed)
+        for name in ("shape_start", "shape_end", "shape_radius"):
+            value = getattr(self, name)
+            for i in np.flatnonzero(~(np.abs(value) <= LARGEST).all(axis=tuple(range(1, value.ndim))))[:1]:
+                place = f"link {self.link_name[self.shape_link[i]]}"
+                raise InputError(src, place, f"{name} {value[i]}", f"finite numbers up to {LARGEST:g}")
         return self
 
-    def _validate_link(self, src: str, i: int, place: str) -> None:
-        def need(ok: bool | np.bool_, found: str, allowed: str, value: object = "") -> None:
-            if not ok:  # arrays are put into words only here: that takes longer than all checks
-                raise InputError(src, place, f"{found} {value}", allowed)
-
-        need(-1 <= self.parent[i] < i, f"parent index {self.parent[i]}", f"-1 (world) to {i - 1}")
+    def _checks(self) -> Iterator[tuple[NDArray[np.bool_], str, str, NDArray[Any]]]:
+        """Yield what must hold of every link: whether it does [L], what is found where not, what is allowed, values."""
+        n = self.num_links
+        before = np.logical_and(self.parent >= -1, self.parent < np.arange(n))
+        yield np.asarray(before), "parent index", "-1 (world) or a link before it", self.parent
         for item in fields(self):
             value = getattr(self, item.name)
             if isinstance(value, np.ndarray) and value.dtype == np.float64 and not item.name.startswith("shape_"):
-                need(bool(np.isfinite(value[i]).all()), item.name, "finite numbers", value[i])
-        need(self.mass[i] >= 0, f"mass {self.mass[i]:g} kg", "zero or more")
-        for name in ("stiffness", "damping", "armature"):
-            need(getattr(self, name)[i] >= 0, f"{name} {getattr(self, name)[i]:g}", "zero or more")
-        eig = np.linalg.eigvalsh(self.inertia[i])
-        need(eig[0] >= -1e-9 * max(eig[2], 1e-12), "principal inertias [kg m^2]", "zero or more", eig)
-        need(abs(np.linalg.norm(self.rotation[i]) - 1) < 1e-6, "a quaternion of length other than one", "unit length")
-        scalar = self.joint[i] in (Joint.REVOLUTE, Joint.PRISMATIC)
-        need(not scalar or abs(np.linalg.norm(self.axis[i]) - 1) < 1e-6, "axis", "a unit vector", self.axis[i])
+                most = np.abs(value.reshape(n, -1)).max(axis=1)  # NaN where one is
+                yield np.isfinite(most), item.name, "finite numbers", value
+                yield most <= LARGEST, item.name, f"numbers up to {LARGEST:g}", value
+        for name in ("mass", "stiffness", "damping", "armature"):
+            value = getattr(self, name)
+            yield value >= 0, name, "zero or more", value
+        eig = np.linalg.eigvalsh(self.inertia)
+        least = -1e-9 * np.maximum(eig[:, 2], 1e-12)
+        yield eig[:, 0] >= least, "principal inertias [kg m^2]", "zero or more", eig
+        length = np.linalg.norm(self.rotation, axis=1)
+        yield np.abs(length - 1) < 1e-6, "a quaternion of length", "unit length", length
+        scalar = np.isin(self.joint, [Joint.REVOLUTE, Joint.PRISMATIC])
+        unit = np.abs(np.linalg.norm(self.axis, axis=1) - 1) < 1e-6
+        yield np.where(scalar, unit, True), "axis", "a unit vector", self.axis
 
     def with_(self, **changes: Any) -> Tree:
         """Return a copy with some fields exchanged."""

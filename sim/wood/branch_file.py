@@ -10,7 +10,9 @@
     effects:
       - {name: dry_friction, joint: 1, parameters: {torque_Nm: 0.21}}
 
-Segments stand base first. The last three keys of a segment may be left out, of all segments alike.
+Segments stand base first. The last three keys of a segment may be left out, of all segments alike. ``claimed: false``
+says that the effects are the nearest ones that a diagnosis found, which it does not claim; the springs are fitted
+beside them and go with them.
 """
 
 from __future__ import annotations
@@ -23,9 +25,11 @@ from pydantic import Field
 
 from ..base.strict_yaml import Length, NotNegative, Positive, Strict, YamlFile, nearest, validated
 from ..effects import Law, effect_of, effects
+from ..effects.registry import Form
 
 FORMAT = "branch-model/1"
 GEOMETRY = ("length_m", "radius_base_m", "radius_tip_m")
+_WHOLE: dict[Form, str] = {"branch": "branch", "joint": "mechanism"}
 
 
 class SegmentModel(Strict):
@@ -66,6 +70,7 @@ class BranchFile(Strict):
     name: str
     segments: Annotated[list[SegmentModel], Field(min_length=1)]
     effects: tuple[EffectModel, ...] = Field(default=(), strict=False)
+    claimed: bool = True
 
     @property
     def sizes(self) -> list[tuple[float, float, float]] | None:
@@ -86,8 +91,7 @@ def read_branch_file(path: str | Path) -> BranchFile:
     meta = validated(file, BranchFile)
     for i in range(len(meta.segments)):
         _check_segment(file, meta.segments, i)
-    for i in range(len(meta.effects)):
-        _check_effect(file, meta, i)
+    check_effects(file, meta.effects, "branch", len(meta.segments))
     return meta
 
 
@@ -107,20 +111,30 @@ def _check_segment(file: YamlFile, segments: Sequence[SegmentModel], i: int) -> 
             raise file.error([*here, key], found, "less than the length, in metres")
 
 
-def _check_effect(file: YamlFile, meta: BranchFile, i: int) -> None:
+def check_effects(file: YamlFile, found: Sequence[EffectModel], form: Form, joints: int) -> None:
+    """Check the effects of a model with so many joints, and set the parameters that are left out to neutral.
+
+    Raises:
+        InputError: An effect is unknown, acts where it cannot or a second time, or has a parameter that it does not
+            have, none of one that it needs, or one below zero that is positive.
+    """
+    for i in range(len(found)):
+        _check_effect(file, found, i, form, joints)
+
+
+def _check_effect(file: YamlFile, found: Sequence[EffectModel], i: int, form: Form, joints: int) -> None:
     here: list[str | int] = ["effects", i]
-    item = meta.effects[i]
-    names = [e.name for e in effects() if e.branch is not None]
+    item = found[i]
+    names = [e.name for e in effects() if getattr(e, form) is not None]
     if item.name not in names:
         raise file.error([*here, "name"], repr(item.name), nearest(item.name, names))
-    law = effect_of(item.name).law("branch")
-    last = len(meta.segments) - 1
-    if law.per_joint and (item.joint is None or item.joint > last):
-        found = "no joint" if item.joint is None else str(item.joint)
-        raise file.error([*here, "joint"], found, f"a joint, 0 to {last}")
+    law = effect_of(item.name).law(form)
+    if law.per_joint and (item.joint is None or item.joint >= joints):
+        what = "no joint" if item.joint is None else str(item.joint)
+        raise file.error([*here, "joint"], what, f"a joint, 0 to {joints - 1}")
     if not law.per_joint and item.joint is not None:
-        raise file.error([*here, "joint"], str(item.joint), "no joint: it acts on the whole branch")
-    if item.label in [other.label for other in meta.effects[:i]]:
+        raise file.error([*here, "joint"], str(item.joint), f"no joint: it acts on the whole {_WHOLE[form]}")
+    if item.label in [other.label for other in found[:i]]:
         raise file.error(here, f"{item.label} a second time", "each effect once at a joint")
     _check_parameters(file, [*here, "parameters"], item, law)
 

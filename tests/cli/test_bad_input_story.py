@@ -81,12 +81,16 @@ def test_folders_that_are_no_case(bough, tmp_path, command):
         (mjcf(more='<body name="b"/>', after=CLOSED), ("closed loop",)),
         (mjcf(geom='mass="-1"'), ("mass", "-1")),
         (mjcf('type="screw"'), ("screw",)),
+        (mjcf(geom='mass="1e300"'), ("link a", "mass", "1e+12")),
+        (mjcf('stiffness="1e308"'), ("link a", "stiffness", "1e+12")),
+        (mjcf(more='<body name="b" pos="1e308 0 0"><geom size=".1"/></body>'), ("link b", "position", "1e+12")),
+        (mjcf(more='<geom size="1e30"/>'), ("link a", "1e+12")),
         ("<mujoco><worldbody>", ("line 1",)),
         ("<mujoco/>", ("no bodies",)),
     ],
 )
 def test_mechanisms_that_cannot_be(bough, tmp_path, text, words):
-    """Refuse unsupported joints, closed loops, negative masses and broken XML; name the file and where in it."""
+    """Refuse unsupported joints, closed loops, negative and vast numbers, broken XML; name the file and where in it."""
     (tmp_path / "tree.xml").write_text(text)
     bough("simulate", "tree.xml", "--out", "out").refused("tree.xml", *words)
 

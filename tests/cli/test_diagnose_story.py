@@ -153,3 +153,19 @@ def test_exam_is_marked_and_goes_on(bough):
     assert Path("out/results.jsonl").read_text().startswith(first)
     assert "false alarm on null" in done.out and (Path("out/confusion.png")).stat().st_size > 10_000
     bough("exam", "--cases", 0, "--out", "out").refused("--cases")
+
+
+def test_exam_on_joints_is_marked(bough):
+    """Hold an exam of two cases on measured joints; print its table, with intervals; refuse a noise of its own."""
+    done = bough("exam", "--joints", "--cases", 2, "--jobs", 1, "--seed", 5, "--out", "joints")
+    assert done.code == 0, done.err
+    rows = [json.loads(line) for line in Path("joints/results.jsonl").read_text().splitlines()]
+    assert [r["kind"] for r in sorted(rows, key=lambda r: r["case"])] == ["null", "single"]
+    assert all(r["verdict"]["fit"]["method"] in ("replay", "torque") for r in rows)
+    assert "| measured joints | wanted |" in done.out and "intervals of named parameters" in done.out
+    bough("exam", "--joints", "--noise", 0.03, "--out", "other").refused("--noise")
+
+
+def test_torques_that_were_not_measured_are_refused(bough, hidden):
+    """Say in one line that a branch has no torques to fit."""
+    bough("diagnose", hidden, "--fit", "torque", "--out", "torques").refused("--fit")

@@ -68,10 +68,10 @@ def test_known_effects_act_while_springs_are_learnt(bough, here):
 
 
 def test_models_that_do_not_fit_the_case(bough, here):
-    """Refuse another branch's model, and any beside a case of joints, in one line; nothing is written or left."""
+    """Refuse another branch's model, and one of a branch beside joints, in one line; nothing is written or left."""
     write_case(Path("joints"), [(0.5, 0.0), (-0.2, 1.0)])
     done = bough("identify", "joints", "--model", "model.yaml", "--out", "out")
-    done.refused("--model", "a case of joints", "branch-gap-case/1")
+    done.refused("model.yaml", "format", "branch-model/1", "joint-model/1")
     rewrite(lambda content: content["segments"][0].update(name="limb"))
     done = bough("identify", "case", "--model", "model.yaml", "--out", "out")
     done.refused("model.yaml", "segments", "limb", "the case's, base first: twig")

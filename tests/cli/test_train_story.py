@@ -101,3 +101,16 @@ def test_a_run_in_a_diagnosed_branch_s_wood(bough, tmp_path):
     tested = bough("evaluate", out, "--sets", 1, "--worlds", 12, "--device", "cpu", "--baselines")
     assert tested.code == 0, tested.err
     assert (out / "evaluation.json").exists()
+    written = bough("export", out, "--out", tmp_path / "policy")
+    assert written.code == 0 and "powerline, iteration 2" in written.out, written.err
+    said = json.loads((tmp_path / "policy" / "policy.json").read_text())
+    assert said["observation"]["size"] == 88 and said["observation"]["columns"]["occlusion"] == 87
+    bough("export", tmp_path / "policy", "--out", tmp_path / "other").refused("config.json")
+    assert sorted(p.name for p in tmp_path.iterdir() if p.name.startswith("other")) == []
+    page = (out / "evaluation.md").read_text()
+    assert page in tested.out and "| arm and arm " in page and "many pairs %: 0.0" in page
+    every = bough("evaluate", out, "--sets", 1, "--worlds", 12, "--device", "cpu", "--baselines", "--all-scenes")
+    assert every.code == 0, every.err
+    found = json.loads((out / "evaluation_all_scenes.json").read_text())
+    assert found["scenes"]["any %"] > 50.0 and (out / "evaluation_all_scenes.md").read_text() in every.out
+    assert (out / "evaluation.md").read_text() == page

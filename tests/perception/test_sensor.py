@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
-from bough.kernels.points.cloud import sample_kernel
+from bough.kernels.points.cloud import blur_kernel, sample_kernel
 from bough.kernels.points.embedding import embed_clouds_kernel
 from bough.kernels.points.nearest import finish_kernel, margin_kernel, nearest_kernel, occlusion_kernel
 from bough.perception import sensor as sensor_module
@@ -298,16 +298,46 @@ def test_outputs_equal_brute_force(width, points):
     for name, value in expected.items():
         columns = observation[:, COLUMNS[name] : COLUMNS[name] + 16]
         np.testing.assert_allclose(columns, value, rtol=0, atol=2e-6, err_msg=name)
-    score = [top_pairs_score(squared_distances(b, t), 200, threshold) for b, t in zip(branches, target, strict=True)]
-    np.testing.assert_array_equal(sensor.occlusion, np.array(score, np.float32))
-    assert sum(0 < s < 1 for s in score) > 2
     hand = squared_distances(scene.ee.numpy()[:, None], branches)[:, 0]
     np.testing.assert_array_equal(sensor.distances, np.sqrt(np.sort(hand, -1)[:, :5]))
-    pairs = [np.sqrt(np.sort(squared_distances(r, t).ravel())[:5]).mean() for r, t in zip(robot, target, strict=True)]
-    np.testing.assert_array_equal(sensor.breach.numpy() > 0, np.array(pairs) < 0.04)
-    assert 0 < sensor.breach.mean() < 1
     assert torch.equal(observation[:, 81:86], sensor.distances)
-    assert torch.equal(observation[:, 86], sensor.breach) and torch.equal(observation[:, 87], sensor.occlusion)
+    seen, true = (scores(sensor.clouds(noise=noise)[0], threshold) for noise in (True, False))
+    for found, (occlusion, breach) in (((observation[:, 87], observation[:, 86]), seen),
+                                       ((sensor.occlusion, sensor.breach), true)):  # fmt: skip
+        np.testing.assert_array_equal(found[0], occlusion)
+        assert ((occlusion > 0) & (occlusion < 1)).sum() > 2
+        np.testing.assert_array_equal(found[1].numpy() > 0, breach)
+        assert 0 < breach.mean() < 1
+    assert (seen[0] != true[0]).sum() > 2
+
+
+def scores(points, threshold):
+    """Return occlusion and breach of clouds [worlds, 3, 3, N] by looking at all pairs."""
+    robot, target, branches = (points[:, k].mT.numpy() for k in range(3))
+    score = [top_pairs_score(squared_distances(b, t), 200, threshold) for b, t in zip(branches, target, strict=True)]
+    pairs = [np.sqrt(np.sort(squared_distances(r, t).ravel())[:5]).mean() for r, t in zip(robot, target, strict=True)]
+    return np.array(score, np.float32), np.array(pairs) < 0.04
+
+
+def test_noise_is_seen_and_not_scored():
+    """Hold a branch 11 cm off the line's surface and the arm 5 cm: noise shows pairs below 10 and 4 cm; none is scored.
+
+    Without noise what is seen is what is scored.
+    """
+    start, end = np.zeros((2, 3, 3), np.float32), np.zeros((2, 3, 3), np.float32)
+    start[..., 0] = [0.0, 0.2, -0.17]  # the line's, the arm's and the branch's
+    end[..., 0], end[..., 2] = start[..., 0], 1.0
+    ends = [wp.array(x[:, 1:].copy(), dtype=wp.vec3) for x in (start, end)]
+    radius = wp.array(np.tile(np.float32([0.1, 0.01]), (2, 1)))
+    line = SimpleNamespace(**{n: wp.array(x[:, 0].copy(), dtype=wp.vec3) for n, x in (("start", start), ("end", end))})
+    capsules = SimpleNamespace(start=ends[0], end=ends[1], radius=radius, num_arm=1)
+    sensor, observation = make(SimpleNamespace(capsules=capsules, line=line, ee=line.start, start=start))
+    sensor.max_noise.copy_(torch.tensor([0.0, 0.04]))
+    for _ in range(5):
+        sensor.update()
+        assert sensor.occlusion.tolist() == sensor.breach.tolist() == [0.0, 0.0]
+        assert observation[0, 86:].tolist() == [0.0, 0.0]
+        assert observation[1, 87] > 0.1 and observation[1, 86] == 1.0
 
 
 def test_permuted_clouds_give_the_same_embedding():
@@ -417,11 +447,12 @@ def test_memory_order_of_a_gpu_gives_the_same_bits(monkeypatch):
     assert all(map(torch.equal, *results))
 
 
-@pytest.mark.parametrize("name", ["sample", "embed", "occlusion", "nearest", "margin", "finish"])
+@pytest.mark.parametrize("name", ["sample", "blur", "embed", "occlusion", "nearest", "margin", "finish"])
 def test_compiles_for_a_gpu(name, tmp_path):
     """Compile for sm_90, in float32 throughout."""
-    kernel = {"sample": sample_kernel(1), "embed": embed_clouds_kernel(1), "occlusion": occlusion_kernel(1),
-              "nearest": nearest_kernel(1), "margin": margin_kernel(1), "finish": finish_kernel}[name]  # fmt: skip
+    kernel = {"sample": sample_kernel(1), "blur": blur_kernel(1), "embed": embed_clouds_kernel(1),
+              "occlusion": occlusion_kernel(1), "nearest": nearest_kernel(1), "margin": margin_kernel(1),
+              "finish": finish_kernel}[name]  # fmt: skip
     paths = wp.compile_aot_module(kernel.module, arch=90, module_dir=tmp_path, use_ptx=True)
     text = next(p for p in paths if p.suffix == ".ptx").read_text()
     assert ".entry" in text and not re.search(r"(?:add|mul|fma|div|sqrt)\S*\.f64", text)

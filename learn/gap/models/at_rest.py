@@ -15,6 +15,7 @@ from scipy.signal import welch
 from ....sim.base.types import Array
 from ...cases.case import BranchCase
 from ...replay.equation_error import fits_torque
+from ...replay.motion_noise import motion_noise
 from .contest import Batch, Contest
 
 #: Largest input at rest, relative to its maximum; largest scatter of the model at rest, relative to the whole.
@@ -50,12 +51,15 @@ def noise_at_rest(contest: Contest, batch: Batch) -> Noise:
     """Return the noise of the channels, at least their scatter about the base model before any input acts.
 
     Args:
-        contest: The contest of a case; branches keep their estimate, which knows when the gripper touches them.
+        contest: The contest of a case; branches keep their estimate, which knows when the gripper touches them. Efforts
+            predicted from a measured motion have that motion's noise beside their own.
         batch: The base model, a batch of one.
     """
-    sigma, spectrum = contest.sigma.cpu().numpy().copy(), {}
-    if isinstance(contest.case, BranchCase) or fits_torque(contest.case):
+    sigma, spectrum = contest.data_sigma.copy(), {}
+    if isinstance(contest.case, BranchCase):
         return Noise(sigma)
+    if fits_torque(contest.case):
+        return Noise(np.hypot(sigma, motion_noise(contest.case, contest.unknowns, contest.values(batch)[0])))
     leads = _leads(contest)
     if sum(leads) < LEAST:
         return Noise(sigma)

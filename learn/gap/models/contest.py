@@ -15,23 +15,28 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from ....sim.base.types import Array
 from ...cases.case import BranchCase, JointCase
 from ...replay.equation_error import simulation_of
 from ...replay.input_noise import Colour
-from ...replay.recording import Recording
+from ...replay.motion import about_rest
+from ...replay.recording import Recording, beginning
 from ...replay.rollout import Rollout
 from ...systems.branch import Unknowns
 from ...systems.system import box_of, values_of
-from .candidates import Candidate, everywhere
+from .candidates import Candidate, everywhere, passes_neutral
 
 #: Parameter sets per launch; a small remainder runs in launches of the second size.
 LAUNCH, SMALL = 128, 16
 #: Finite-difference steps, relative to the reach of a free coordinate and to the scale of start states. The wide step
-#: averages over a rugged chi-squared surface; the narrow one has less truncation error where a law is curved.
-STEP, NARROW = 0.01, 0.002
+#: averages over a rugged chi-squared surface; the narrow one has less truncation error where a law is curved. The
+#: narrowest is for joints that swing many times.
+STEP, NARROW, NARROWEST = 0.01, 0.002, 0.0004
+#: Least length of the beginning of a recording, in samples.
+FEWEST = 20
 #: Prior standard deviation of a base parameter's free coordinate; of an effect's, in half widths of its box.
 BASE_SPREAD, EFFECT_SPREAD = 3.0, 1.0
 
@@ -84,6 +89,8 @@ class Contest:
         num_base: How many are the system's own.
         candidates: Every effect at every place.
         low, high: Box of the free coordinates, shape [n].
+        neutral: Values in SI units of parameters that are not active, shape [n].
+        typical: Free coordinates where a search may begin, shape [n]: strengths of either sign at neutral.
         centre, spread: Mean and standard deviation of the normal prior of the free coordinates, shape [n].
         reach: Change of a free coordinate over which the response is about linear, shape [n].
         colour: How noise of the force correlates the residuals; None where it does not.
@@ -91,6 +98,8 @@ class Contest:
             ``nuisance_mean`` and standard deviation ``nuisance_spread``, shape [m].
         overdispersion: Reduced chi-squared expected of the best model; prior terms are scaled by it.
         names: Effects that may act.
+        motion: Measured channels, but joints' positions about their means, [R, T, C]; zero past a recording's end.
+        data_sigma: Noise of the channels as it was estimated from the data alone, shape [C].
         num_samples: Number of measured values with noise above zero, the N of the reduced chi-squared.
         world_steps: World-steps taken so far.
     """
@@ -103,6 +112,7 @@ class Contest:
         self.names = tuple(names)
         self.unknowns = Unknowns(effects=everywhere(case, names))
         self._rollouts: dict[int, Rollout] = {}
+        self._beginnings: dict[float, Contest] = {}
         first = self._rollout(SMALL)
         system = first.system
         self.place = first.torch_device
@@ -114,6 +124,7 @@ class Contest:
         self.low, self.high = low.to(self.place), high.to(self.place)
         self._prior()
         self._stack()
+        self.data_sigma = np.array(sigma)
         self.set_noise(sigma)
         self.colour: Colour | None = None
         self.overdispersion = 1.0
@@ -129,6 +140,14 @@ class Contest:
         out = copy(self)
         out._stiffen()
         return out
+
+    def beginnings(self, share: float) -> Contest:
+        """Return a contest over the first share of every recording."""
+        if share not in self._beginnings:
+            cut = [beginning(r, max(FEWEST, round(share * len(r.t)))) for r in self.recordings]
+            sigma = self.sigma.cpu().numpy()
+            self._beginnings[share] = Contest(self.case, cut, sigma, self.names, device=self.device)
+        return self._beginnings[share]
 
     def _rollout(self, size: int) -> Rollout:
         if size not in self._rollouts:
@@ -147,7 +166,7 @@ class Contest:
             column += len(specs)
         off = [spec.neutral for candidate in out for spec in candidate.specs]
         neutral = [p.typical or 1.0 for p in self.parameters[: self.num_base]] + off
-        self._neutral = torch.tensor(neutral, dtype=torch.float64, device=self.place)
+        self.neutral = torch.tensor(neutral, dtype=torch.float64, device=self.place)
         return out
 
     def _prior(self) -> None:
@@ -157,11 +176,14 @@ class Contest:
         base = torch.arange(n, device=self.place) < k
         log = torch.tensor([p.scale == "log" for p in self.parameters], device=self.place)
         self.centre = torch.where(base, start, middle)
+        self.typical = self.centre.clone()
         self.spread = torch.where(base & log, BASE_SPREAD, EFFECT_SPREAD * half)
         self.reach = torch.where(log, 1.0, half)
         for candidate in self.candidates:
             setting = self.settings[candidate.acting.joint or 0]
             for column, spec in zip(candidate.columns, candidate.specs, strict=True):
+                if passes_neutral(spec, self.parameters[column]):
+                    self.typical[column] = self.parameters[column].free(spec.neutral)
                 if spec.reach is not None:
                     self.reach[column] = spec.reach(setting) if callable(spec.reach) else spec.reach
 
@@ -171,7 +193,8 @@ class Contest:
         for j, r in enumerate(self.recordings):
             self.measured[j, : len(r.t)] = torch.as_tensor(r.output, device=self.place)
         self.start0 = torch.stack([torch.as_tensor(r.start) for r in self.recordings]).to(self.place)
-        self.start_scale = max(float(self.measured.abs().max()), 1e-9)
+        self.motion = about_rest(self.case, self.recordings, self.measured)
+        self.start_scale = max(float(self.motion.abs().max()), 1e-9)
 
     def set_noise(self, sigma: Array) -> None:
         """Set the noise of the channels, shape [C]; channels with zero noise are ignored."""
@@ -198,7 +221,7 @@ class Contest:
 
     def values(self, batch: Batch) -> torch.Tensor:
         """Return parameter values in SI units, [S, n]; inactive parameters are neutral."""
-        return torch.where(batch.active, values_of(self.parameters, batch.free), self._neutral)
+        return torch.where(batch.active, values_of(self.parameters, batch.free), self.neutral)
 
     def simulate(self, values: torch.Tensor, start: torch.Tensor) -> torch.Tensor:
         """Return the channels [S, R, T, C] of parameter values [S, n] from start states [S, R, J, 2]."""

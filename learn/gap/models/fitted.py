@@ -25,11 +25,13 @@ class Model:
         members: Indices of the candidates in it.
         fit: Its fit, a batch of one.
         settled: Whether it was fitted to the last round.
+        rests: Whether its fit is that of a model with fewer effects, the others off, because none with them left less.
     """
 
     members: tuple[int, ...]
     fit: Fits
     settled: bool = False
+    rests: bool = False
 
     @property
     def cost(self) -> float:
@@ -60,6 +62,14 @@ class FittedModels:
     def best(self) -> Model:
         """The model with the least chi-squared."""
         return min([self.base, *self.models], key=lambda m: m.chi2)
+
+    def contained(self, model: Model) -> list[Model]:
+        """Return the base and the models whose effects are some, but not all, of a model's."""
+        return [self.base, *(m for m in self.models if set(m.members) < set(model.members))]
+
+    def broken(self) -> list[tuple[Model, Model]]:
+        """Return models beside a contained one that leaves less; `nested.close` leaves none."""
+        return [(m, inner) for m in self.models for inner in self.contained(m) if m.chi2 > inner.chi2]
 
     @property
     def overdispersion(self) -> float:

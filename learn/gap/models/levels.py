@@ -14,6 +14,7 @@ import torch
 from .contest import Batch, Contest
 from .fitted import Model, penalty
 from .frequencies import frequency_probes
+from .horizons import led
 from .refit import Fits, evaluated, fit
 from .scan import Basis, Scan, all_probes, score_probes, start_batch
 
@@ -41,12 +42,25 @@ def scan_candidates(
     probes = [*all_probes(contest, without), *oscillating]
     residuals = basis.residual[None] if nulls is None else torch.cat([basis.residual[None], nulls])
     scan = score_probes(contest, basis, probes, residuals)
-    return basis, replace(scan, compared=[1] * (len(probes) - len(oscillating)) + [compared] * len(oscillating))
+    own = {p.candidate for p in oscillating}
+    return basis, replace(scan, compared=[compared if p.candidate in own else 1 for p in scan.probes])
 
 
 def first_level(contest: Contest, basis: Basis, scan: Scan, progress: Progress) -> list[Model]:
     """Fit every candidate beside the base; return the models, best first."""
     return _halved(contest, *_started(contest, [(basis, scan, ())], every=True), progress)
+
+
+def better_of(contest: Contest, models: Sequence[Model], earlier: Sequence[Model]) -> list[Model]:
+    """Return the better of two fits of the same effects, both under the present noise model, best first."""
+    if not earlier:
+        return list(models)
+    again = evaluated(contest, Batch.joined([m.fit.batch for m in earlier]))
+    every = [*models, *(Model(m.members, again.one(s), m.settled) for s, m in enumerate(earlier))]
+    out: dict[tuple[int, ...], Model] = {}
+    for m in sorted(every, key=lambda m: m.cost + penalty(contest, m.members)):
+        out.setdefault(m.members, m)
+    return list(out.values())
 
 
 def next_level(contest: Contest, leaders: Sequence[Model], progress: Progress) -> list[Model]:
@@ -110,7 +124,8 @@ def _started(
     """Return the start points of the most promising candidates, from their best probes, and their members.
 
     With ``every`` all candidates start. A base fit biased by an effect can hide that effect from the scan and trap its
-    fits in a local minimum; they therefore also start from the base at its typical values.
+    fits in a local minimum; they therefore also start from the base at its typical values, those of joints with their
+    effects at typical values too and first fitted to short horizons.
     """
     promised = _promised(contest, scans)
     keys = sorted(promised, key=lambda key: promised[key][0])[: None if every else KEPT[0]]
@@ -120,11 +135,12 @@ def _started(
     members: list[tuple[int, ...]] = []
     for n, (key, own, misfit) in enumerate(zip(keys, starts, cost, strict=True)):
         batches.append(own[misfit.argsort()[: STARTS if n < WIDELY else 1]])
-        if every or n < KEPT[0]:
-            batches.append(own[slice(0, 1)])
-            batches[-1].free[:, : contest.num_base] = contest.centre[: contest.num_base]
-        members += [key] * (sum(map(len, batches)) - len(members))
-    return Batch.joined(batches), members
+        members += [key] * len(batches[-1])
+    typical = Batch.joined([own[slice(0, 1)] for own in starts])
+    known = typical.active.clone() if typical.start.numel() else typical.active & False
+    known[:, : contest.num_base] = True
+    typical.free = torch.where(known, contest.typical, typical.free)
+    return Batch.joined([*batches, led(contest, typical)]), [*members, *keys]
 
 
 def _promised(

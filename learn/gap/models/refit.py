@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
-from .contest import NARROW, STEP, Batch, Contest, prior_of
+from .contest import NARROW, NARROWEST, STEP, Batch, Contest, prior_of
 
 #: Models whose derivatives are held in memory at once.
 TOGETHER = 24
@@ -66,9 +66,12 @@ def fit(contest: Contest, batch: Batch, iterations: int, progress: Callable[[int
 
 
 def _fit(contest: Contest, batch: Batch, iterations: int) -> Fits:
-    """Fit with wide finite-difference steps; each model that has converged goes on with narrow ones."""
+    """Fit with wide finite-difference steps; each model that has converged goes on with narrow ones.
+
+    Phases of joints drift over many swings, so that their derivatives need narrower ones still.
+    """
     fits = evaluated(contest, batch)
-    steps = torch.full_like(fits.cost, STEP)
+    steps, last = torch.full_like(fits.cost, STEP), NARROWEST if batch.start.numel() else NARROW
     for _ in range(iterations):
         residual, derivative, columns = contest.linearise(fits.batch, steps)
         moved = _step(contest, fits, residual, derivative, columns)
@@ -77,10 +80,10 @@ def _fit(contest: Contest, batch: Batch, iterations: int) -> Fits:
         settled = better & (fits.cost - trial.cost < 1e-4 * fits.cost.clamp(min=1.0))
         fits = _where(better, trial, fits)
         settled |= fits.damping > 1e6
-        if bool((settled & (steps == NARROW)).all()):
+        if bool((settled & (steps < 1.01 * last)).all()):
             break
-        fits.damping = torch.where(settled & (steps == STEP), DAMPING, fits.damping)
-        steps = torch.where(settled, NARROW, steps)
+        fits.damping = torch.where(settled & (steps > 1.01 * last), DAMPING, fits.damping)
+        steps = torch.where(settled, (steps * NARROW / STEP).clamp(min=last), steps)
     return fits
 
 

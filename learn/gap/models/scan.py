@@ -19,6 +19,8 @@ from .refit import Fits
 
 #: Step off the neutral value, relative to the distance to the nearer end of the box.
 REACH = 0.1
+#: Change of the channels, in units of their noise, below which a probe does nothing.
+NOTHING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -87,24 +89,29 @@ def all_probes(contest: Contest, without: Sequence[int] = ()) -> list[Probe]:
 
 
 def score_probes(contest: Contest, basis: Basis, probes: Sequence[Probe], residuals: torch.Tensor) -> Scan:
-    """Test probes beside a fitted model for residuals [V, N]; the first is the measured one."""
+    """Test probes beside a fitted model for residuals [V, N]; the first is the measured one.
+
+    Probes that change nothing are left out, such as those of springs' laws at a joint without a spring.
+    """
     moved, owner = _moved_batch(contest, basis.fit.batch, probes)
     out = contest.simulate(contest.values(moved), moved.start)
     change = contest.whiten(out - contest.simulate(contest.values(basis.fit.batch), basis.fit.batch.start)).flatten(1)
     weight = basis.fit.batch.weight[0]
     change = change * weight.repeat_interleave(change.shape[1] // len(weight))
+    acts = change.abs().amax(1) > NOTHING
     imitated, change = basis.split(change)
     imitated = imitated[:, : len(basis.columns)]
     left = basis.free_of(residuals)
-    gain = left.new_zeros(len(residuals), len(probes))
-    strength, absorbed = [], []
-    for k, probe in enumerate(probes):
+    kept = [k for k in range(len(probes)) if acts[owner == k].any()] or range(len(probes))
+    gains, strength, absorbed = [], [], []
+    for k in kept:
         own = change[owner == k]
-        found, explained = _explained(own, left, bounded=not probe.moved)
-        gain[:, k] = explained
+        found, explained = _explained(own, left, bounded=not probes[k].moved)
+        gains.append(explained)
         strength.append(found[0])
         absorbed.append(found[0] @ imitated[owner == k])
-    return Scan(list(probes), gain, strength, [1] * len(probes), torch.stack(absorbed))
+    acting = [probes[k] for k in kept]
+    return Scan(acting, torch.stack(gains, 1), strength, [1] * len(acting), torch.stack(absorbed))
 
 
 def _explained(columns: torch.Tensor, left: torch.Tensor, *, bounded: bool) -> tuple[torch.Tensor, torch.Tensor]:

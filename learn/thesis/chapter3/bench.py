@@ -25,8 +25,6 @@ BOX = (5.0, 200.0)
 KT = 0.01
 SAMPLES = 120
 TRAINING, UNSEEN = 5, 25
-STEP = 3.0 / (BOX[1] - BOX[0])
-"""The thesis's step of 3.0 as a share of its box."""
 PUSH = Experiment(samples=SAMPLES, rate=50.0, noise=0.0, vertical=True, deflection=0.4, planar=True)
 UNKNOWNS = Unknowns(joints="revolute", box=(f"stiffness={BOX[0]:g}:{BOX[1]:g}", f"damping={BOX[0]:g}:{BOX[1]:g}"))
 #: What Levenberg-Marquardt, which needs a Gaussian density, takes for the error of displacement [m], velocity [m/s].
@@ -54,6 +52,17 @@ class Scores:
 def draw_springs(rng: np.random.Generator, segments: int) -> dict[str, np.ndarray]:
     """Draw true stiffnesses and dampers uniformly from the box, falling from the base to the tip, shapes [R]."""
     return {kind: np.sort(rng.uniform(*BOX, segments))[::-1].copy() for kind in ("stiffness", "damping")}
+
+
+def interval_of(unseen: Target, theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the ends of the 95 % interval of the displacement in a planar target's recordings, [N, T, 2] each.
+
+    By kernel density over the particles' simulations at every time step (Scott), nothing added for a sensor.
+    """
+    clean = unseen.predict(theta)[..., DISPLACEMENT]
+    # at the first sample all worlds are at rest: a density needs some width
+    mixture = Mixture(clean, (scott_bandwidth(clean) + 1e-9).expand_as(clean))
+    return mixture.quantile(0.025), mixture.quantile(0.975)
 
 
 class Bench:
@@ -111,14 +120,8 @@ class Bench:
         )
 
     def predictive(self, theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the ends of the 95 % interval of the displacement of the unseen trajectories, [N, T, 2] each.
-
-        By kernel density over the particles' simulations at every time step (Scott), nothing added for a sensor.
-        """
-        clean = self._unseen.predict(theta)[..., DISPLACEMENT]
-        # at the first sample all worlds are at rest: a density needs some width
-        mixture = Mixture(clean, (scott_bandwidth(clean) + 1e-9).expand_as(clean))
-        return mixture.quantile(0.025), mixture.quantile(0.975)
+        """Return the ends of the 95 % interval of the displacement of the unseen trajectories, [N, T, 2] each."""
+        return interval_of(self._unseen, theta)
 
     @property
     def displacement(self) -> torch.Tensor:

@@ -51,24 +51,29 @@ def baseline_figure(
 
 
 @styled
-def calls_figure(curves: Mapping[str, tuple[Sequence[float], Sequence[float], Sequence[float]]]) -> Figure:
-    """Draw distance to the posterior and interval width over simulator calls.
+def calls_figure(
+    panels: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[float], Sequence[float]]]], *, reference: float
+) -> Figure:
+    """Draw distance to the posterior and interval width over simulator calls, one row for each kind of start.
 
     Args:
-        curves: By method, calls, energy distance in that of exact draws, and interval width [m].
+        panels: By kind of start and method, calls, energy distance in that of exact draws, and interval width [m].
+        reference: Largest R-hat of the chains that distances are taken to.
     """
-    figure = Figure(figsize=(WIDTH, 3.9), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for (name, (calls, distance, width)), colour in zip(curves.items(), _COLOURS, strict=False):
-        style = "o-" if "MH" not in name else "s--"
-        thousand = np.asarray(calls) / 1000
-        left.plot(thousand, distance, style, color=colour, label=name, markersize=4)
-        right.plot(thousand, 1000 * np.asarray(width), style, color=colour, markersize=4)
-    left.axhline(1.0, color="#888888", linewidth=0.8, linestyle=":")
-    left.set_ylabel("energy distance to the posterior\n[that of exact draws]")
-    right.set_ylabel("95 % interval width [mm]")
+    figure = Figure(figsize=(WIDTH, 0.9 + 3.0 * len(panels)), layout="constrained")
+    for k, ((title, curves), (left, right)) in enumerate(
+        zip(panels.items(), figure.subplots(len(panels), 2, squeeze=False, sharex=True), strict=True)
+    ):
+        for (name, (calls, distance, width)), colour in zip(curves.items(), _COLOURS, strict=True):
+            style, thousand = "s--" if "MH" in name else "o-", np.asarray(calls) / 1000
+            left.plot(thousand, distance, style, color=colour, markersize=4, label=name if k == 0 else None)
+            right.plot(thousand, 1000 * np.asarray(width), style, color=colour, markersize=4)
+        left.axhline(1.0, color="#888888", linewidth=0.8, linestyle=":")
+        left.set(yscale="log", ylabel="energy distance\n[that of exact draws]")
+        right.set(yscale="log", ylabel="95 % interval width [mm]")
+        left.set_title(f"{title} (reference: R-hat {reference:.3g})", fontsize=9)
+        right.set_title(title, fontsize=9)
     for ax in (left, right):
-        ax.set_yscale("log")
         ax.set_xlabel("simulator calls [thousands]")
     figure.legend(loc="outside upper center", ncols=4)
     return figure
@@ -104,9 +109,9 @@ def joint_figure(rows: Sequence[tuple[str, Array, Array]], truth: Array, names: 
 @styled
 def sweep_figure(
     kt: Sequence[float], width: Array, nll: Array, without: Array, iterations: Sequence[int],
-    published: Mapping[str, Sequence[float]],
+    letter: Mapping[str, Sequence[tuple[float, float, float]]],
 ) -> Figure:  # fmt: skip
-    """Draw what the prior gains over temperature and, for SVGD as the thesis runs it, over iterations.
+    """Draw what the prior gains over temperature and, for SVGD by the letter of the thesis, over iterations.
 
     Args:
         kt: Temperatures.
@@ -114,7 +119,7 @@ def sweep_figure(
         nll: The same ratio of the negative log-likelihoods.
         without: Width without the prior [m], same shape.
         iterations: Numbers of iterations.
-        published: By label, the ratio of widths at each.
+        letter: By label, the ratio of widths at each with the ends of its interval.
     """
     figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
     one, two, three = figure.subplots(1, 3)
@@ -128,10 +133,15 @@ def sweep_figure(
     two.axhline(0.19 / 0.11, color=THESIS, linestyle="--", label="thesis, width")
     two.axhline(3050.7 / 2268.1, color=THESIS, linestyle=":", label="thesis, NLL")
     two.set(xscale="log", ylabel="without / with the prior", xlabel="temperature kT")
-    for (name, ratio), colour in zip(published.items(), _COLOURS, strict=False):
-        three.plot(iterations, ratio, "o-", color=colour, label=name)
+    for k, ((name, ratios), colour) in enumerate(zip(letter.items(), _COLOURS, strict=False)):
+        middle, low, high = np.array(ratios).T
+        high = np.where(np.isfinite(high), high, middle)
+        at = np.asarray(iterations) * (1.0 + 0.03 * (k - 1))  # beside each other
+        three.errorbar(at, middle, (middle - np.where(low > 0.0, low, middle), high - middle), fmt="o-", color=colour,
+                       label=name, capsize=2, markersize=4)  # fmt: skip
     three.axhline(0.19 / 0.11, color=THESIS, linestyle="--", label="thesis")
-    three.set(ylabel="width without / with the prior", xlabel="iterations, SVGD as in the thesis")
+    three.axhline(1.0, color="#888888", linewidth=0.8, linestyle=":")
+    three.set(ylabel="width without / with the prior", xlabel="iterations, by the letter")
     for ax in (one, two, three):
         ax.legend(fontsize=7.5, loc="upper left")
         low, high = ax.get_ylim()

@@ -6,16 +6,13 @@ import math
 from dataclasses import dataclass, field
 
 from ....sim.base.errors import InputError
-from . import baselines, cost, prior, robust
+from . import baselines, cost, literal, prior, robust
 from .bench import Bench, Scores
 
-REFERENCE = 2000
-"""Iterations of the outside sampler that stands for the posterior."""
+REFERENCE = 6000
+"""Most iterations of the outside sampler that stands for the posterior."""
 LEAST_UPDATES = 10
 """Updates without which a sampler is not judged."""
-MARKS = (35, 70, 140)
-"""Iterations at which SVGD as the thesis runs it is scored."""
-PUBLISHED_ETAS = (prior.ETA, 100.0, 1000.0)
 
 
 @dataclass(frozen=True)
@@ -42,8 +39,13 @@ class Options:
 
     @property
     def marks(self) -> tuple[int, ...]:
-        """Iterations at which SVGD as the thesis runs it is scored."""
-        return tuple(round(m * self.iterations / prior.MOST_ITERATIONS) for m in MARKS)
+        """Iterations at which SVGD by the letter is scored."""
+        return tuple(round(m * self.scale) for m in literal.MARKS)
+
+    @property
+    def scale(self) -> float:
+        """Iterations over the most that the thesis takes."""
+        return self.iterations / prior.MOST_ITERATIONS
 
     def shares(self, branch: int) -> tuple[float, ...]:
         """Shares of the budget that samplers are compared at: a curve on the first branch, the full budget on all."""
@@ -54,10 +56,12 @@ class Options:
     def stages(self) -> dict[str, int | None]:
         """Number of steps of every stage."""
         methods = len(baselines.GRADIENT) + len(baselines.WALKS) + 1
-        compared = sum(1 + methods * len(self.shares(b)) for b in range(self.branches))
+        starts = len(baselines.ORIGINS)
+        compared = sum(1 + starts * methods * len(self.shares(b)) for b in range(self.branches))
         sweep = 2 * len(prior.TEMPERATURES) * self.branches + len(prior.ETAS)
         return {
-            "table 3.1, figure 3.6": sweep + len(MARKS) * (1 + len(PUBLISHED_ETAS)),
+            "table 3.1, figure 3.6": sweep,
+            "SVGD by the letter": literal.SEEDS * (1 + len(literal.ETAS)) + 3,
             "figure 3.5": compared,
             "figures 3.7 to 3.9": len(robust.NOISES) + len(robust.TESTED_AT) + len(robust.STAND_INS),
             "cost": len(cost.TIMES) + len(cost.TRAJECTORIES) + len(cost.SEGMENTS),
@@ -73,7 +77,8 @@ class Findings:
         benches: The simulated branches.
         pairs: Runs of every branch at every temperature without and with the inequality prior.
         etas: The first branch with other sharpnesses of the prior.
-        published: SVGD as the thesis runs it on the first branch, by eta (None: without the prior), at every mark.
+        letter: SVGD by the letter, by eta (None: without the prior), by branch, at every mark.
+        letter_studies: Figures 3.7, 3.8 and 3.9 by the letter.
         entries: Samplers at equal calls.
         references: What stands for the posterior of every branch.
         noise, grasp, stand_ins: Studies of figures 3.7, 3.8 and 3.9.
@@ -85,7 +90,8 @@ class Findings:
     benches: list[Bench]
     pairs: list[prior.Pair] = field(default_factory=list)
     etas: list[prior.Pair] = field(default_factory=list)
-    published: dict[float | None, list[Scores]] = field(default_factory=dict)
+    letter: dict[float | None, list[list[Scores]]] = field(default_factory=dict)
+    letter_studies: dict[str, list[literal.LiteralStudy]] = field(default_factory=dict)
     entries: list[baselines.Entry] = field(default_factory=list)
     references: list[baselines.Reference] = field(default_factory=list)
     noise: list[robust.Study] = field(default_factory=list)

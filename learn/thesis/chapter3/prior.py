@@ -11,8 +11,7 @@ import torch
 from ...inference.posterior import Whitened, infer
 from ...inference.target import Target
 from ...samplers.diagnostics import Convergence
-from ...samplers.svgd import gaussian_direction
-from .bench import KT, STEP, Bench, Scores
+from .bench import KT, Bench, Scores
 
 ETA = 10.0
 """Sharpness of the inequality prior unless it is swept, in logarithms; the thesis does not state its own."""
@@ -114,26 +113,4 @@ def eta_sweep(pair: Pair, bench: Bench, *, particles: int, iterations: int, seed
             run = run_svgd(bench, eta, pair.kt, particles=particles, iterations=iterations, seed=seed)
         advance()
         out.append(Pair(pair.branch, pair.kt, eta, pair.without, run))
-    return out
-
-
-def published_svgd(
-    bench: Bench, eta: float | None, *, particles: int, marks: Sequence[int], seed: int, advance: Advance
-) -> list[Scores]:
-    """Run SVGD as the thesis does and score it after each number of iterations in ``marks``.
-
-    One Gaussian kernel with the median bandwidth and Adam (3.3.4, 3.5.1); the step is the thesis's share of the box,
-    here of the logarithm's. No preconditioner, no linear kernel, no schedule.
-    """
-    target = bench.target(eta)
-    low, high = target.box
-    x = bench.uniform(particles, seed)
-    optimiser = torch.optim.Adam([x], lr=STEP * float((high - low).mean()))
-    out = []
-    for k in range(1, max(marks) + 1):
-        x.grad = -gaussian_direction(x, target.evaluate(x).gradient)
-        optimiser.step()
-        if k in marks:
-            out.append(bench.score(x.detach().clone()))
-            advance()
     return out

@@ -12,9 +12,9 @@ from ....sim.base.files import output_folder
 from ....sim.base.host import describe
 from ....version import __version__
 from ...runs.threads import one_thread
-from . import baselines, cost, prior, robust
+from . import baselines, cost, literal, prior, robust
 from .bench import Bench
-from .findings import PUBLISHED_ETAS, REFERENCE, Findings, Options
+from .findings import REFERENCE, Findings, Options
 
 Advance = Callable[[str], None]
 
@@ -23,7 +23,7 @@ def find(folder: Path, options: Options, advance: Advance = lambda stage: None) 
     """Run every experiment; cases are written under ``folder``."""
     o = options
     found = Findings(o, [Bench(folder / f"branch_{b}", o.seed + b, unseen=o.unseen) for b in range(o.branches)])
-    experiments = dict(zip(o.stages, (_priors, _samplers, _robust, _costs), strict=True))
+    experiments = dict(zip(o.stages, (_priors, _literal, _samplers, _robust, _costs), strict=True))
     for stage, experiment in experiments.items():
         began = time.perf_counter()
         experiment(found, folder, lambda stage=stage: advance(stage))  # type: ignore[misc]
@@ -40,15 +40,24 @@ def _priors(found: Findings, folder: Path, advance: prior.Advance) -> None:
     found.etas = prior.eta_sweep(
         pair, first, particles=o.particles, iterations=o.iterations, seed=o.seed, advance=advance
     )
-    for eta in (None, *PUBLISHED_ETAS):
-        found.published[eta] = prior.published_svgd(
-            first, eta, particles=o.particles, marks=o.marks, seed=o.seed, advance=advance
-        )
+
+
+def _literal(found: Findings, folder: Path, advance: prior.Advance) -> None:
+    o = found.options
+    found.letter = literal.table_3_1(
+        folder, found.benches, literal.SEEDS, particles=o.particles, marks=o.marks, unseen=o.unseen, seed=o.seed,
+        advance=advance,
+    )  # fmt: skip
+    studies = literal.Studies(folder, o.unseen, o.scale, o.particles, o.seed)
+    for name, study in (("figure_3_7", lambda: studies.noise(robust.NOISES)), ("figure_3_8", studies.grasp),
+                        ("figure_3_9", studies.stand_ins)):  # fmt: skip
+        found.letter_studies[name] = study()
+        advance()
 
 
 def _samplers(found: Findings, folder: Path, advance: prior.Advance) -> None:
     o = found.options
-    length = max(20, REFERENCE * o.iterations // prior.MOST_ITERATIONS)
+    length = max(20, round(REFERENCE * o.scale))
     for b, bench in enumerate(found.benches):
         entries, reference = baselines.compare(
             bench, b, o.shares(b), particles=o.particles, iterations=o.iterations, reference=length, seed=o.seed,

@@ -62,15 +62,20 @@ def _settings(segments: int, particles: int, iterations: int, seed: int, cv: int
 
 
 def make_case(
-    folder: Path, seed: int, segments: int, *, noise: float, samples: int = SAMPLES, grasps: Sequence[float]
-) -> tuple[BranchCase, Array]:
-    """Simulate a branch on spherical joints, pushed along gravity; return its case and true stiffnesses [R]."""
+    folder: Path, seed: int, segments: int, *, noise: float, samples: int = SAMPLES, grasps: Sequence[float],
+    planar: bool = False,
+) -> tuple[BranchCase, Array]:  # fmt: skip
+    """Simulate a branch pushed along gravity; return its case and true stiffnesses [R].
+
+    On spherical joints, or in a vertical plane on revolute ones.
+    """
     rng = np.random.default_rng([seed, segments])
-    meta = random_branch(rng, segments)
+    meta = random_branch(rng, segments, planar=planar)
     springs = draw_springs(rng, segments)
-    probe = Experiment(samples=samples, noise=noise, force_noise=noise, vertical=True, deflection=0.4)
+    probe = Experiment(samples=samples, noise=noise, force_noise=noise, vertical=True, deflection=0.4, planar=planar)
+    unknowns = Unknowns(joints="revolute" if planar else "spherical", box=_BOX)
     case = write_simulated_case(
-        folder, meta, springs, probe, trajectories=len(grasps), seed=seed, grasps=grasps, unknowns=Unknowns(box=_BOX)
+        folder, meta, springs, probe, trajectories=len(grasps), seed=seed, grasps=grasps, unknowns=unknowns
     )
     return case, springs["stiffness"]
 

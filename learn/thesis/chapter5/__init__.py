@@ -1,4 +1,4 @@
 """Chapter 5: clearing a power line.
 
-Uses: `sim.base`, `learn.runs`, `learn.reports`, `learn.tasks`, `learn.policies`, `learn.thesis.chapter3`.
+Uses: `sim.base`, `perception`, `learn.runs`, `learn.reports`, `learn.tasks`, `learn.policies`, `learn.thesis.chapter3`.
 """

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 import warp as wp
 
+from ....perception.sensor import STAGES
 from ....sim.base.thread_pool import together
 from ...tasks.registry import TaskRegistry
 from .pointnet import PointNet
@@ -20,7 +21,7 @@ WORLDS = (1024, 1)
 KERNELS, LEARNT = "kernel mean embedding", "PointNet++, plain torch"
 _REPEATS = {KERNELS: 20, LEARNT: 3}
 _PART = {"cpu": 16, "cuda": 256}  # clouds that the encoder takes at a time
-_EMBED = 1  # place of the embedding among the launches of `Sensor.commands`
+_EMBED = STAGES.index("embedding")
 
 
 @dataclass(frozen=True)

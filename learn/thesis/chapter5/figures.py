@@ -12,6 +12,7 @@ from ...reports.figures import ALARM, FAINT, MEASURED, MODEL, NOISE, WIDTH, styl
 from ..chapter3.figures import THESIS
 
 Pair = tuple[float, float]
+Levels = Sequence[Sequence[float]]
 _COLOURS = (FAINT, "#56B4E9", NOISE, ALARM, MODEL, MEASURED)
 
 
@@ -23,7 +24,7 @@ def rows_figure(
 
     Args:
         names: Name of each row.
-        success: Mean and spread of the success of each row [%].
+        success: Mean of the success of each row and half of its interval [%].
         drop: Those of the occlusion drop [%].
         thesis: The thesis's success and drop of each row; None for a row that it does not have.
     """
@@ -64,14 +65,12 @@ def curves_figure(curves: Mapping[str, tuple[Sequence[float], Sequence[float], S
 
 
 @styled
-def removal_figure(
-    reward: Mapping[str, Sequence[float]], success: Mapping[str, Sequence[float]], levels: Sequence[float]
-) -> Figure:
+def removal_figure(reward: Mapping[str, Levels], success: Mapping[str, Levels], levels: Sequence[float]) -> Figure:
     """Draw test reward and success with one group of observations removed (figure 5.4).
 
     Args:
-        reward: Test reward at each noise level by what is removed.
-        success: Success at each noise level by what is removed [%].
+        reward: Test reward of every seed at each noise level, by what is removed.
+        success: Success of every seed at each noise level, by what is removed [%].
         levels: d_max of each noise level [m].
     """
     figure = Figure(figsize=(WIDTH, 3.9), layout="constrained")
@@ -85,9 +84,9 @@ def removal_figure(
     return figure
 
 
-def _boxes(ax: Axes, data: Mapping[str, Sequence[float]], levels: Sequence[float]) -> None:
+def _boxes(ax: Axes, data: Mapping[str, Levels], levels: Sequence[float]) -> None:
     """Median and quartiles as in the thesis, whiskers to the ends, and every policy as a point."""
-    names, values = list(data), [list(v) for v in data.values()]
+    names, values = list(data), [[v for seeds in by_level for v in seeds] for by_level in data.values()]
     made = ax.boxplot(values, whis=(0, 100), showfliers=False, widths=0.5, patch_artist=True)
     for patch, name in zip(made["boxes"], names, strict=True):
         patch.set(facecolor=MODEL if name == "none" else FAINT, alpha=0.45)
@@ -95,8 +94,6 @@ def _boxes(ax: Axes, data: Mapping[str, Sequence[float]], levels: Sequence[float
         line.set(color=ALARM, linewidth=1.8)
     shades = np.linspace(0.75, 0.0, len(levels))
     for k, (level, shade) in enumerate(zip(levels, shades, strict=True)):
-        points = [v[k] for v in values]
-        ax.plot(
-            range(1, len(names) + 1), points, "o", color=str(shade), markersize=4, label=f"d_max {1000 * level:g} mm"
-        )
+        points = [(x, v) for x, by_level in enumerate(data.values(), 1) for v in by_level[k]]
+        ax.plot(*zip(*points, strict=True), "o", color=str(shade), markersize=4, label=f"d_max {1000 * level:g} mm")
     ax.set_xticks(range(1, len(names) + 1), names)

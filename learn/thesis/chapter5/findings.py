@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
+
+from scipy import stats
 
 from ...policies.evaluate import Row
 from . import embedding
@@ -32,6 +37,49 @@ class Findings:
     config: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
 
-    def trained(self, run: Run) -> Row:
-        """Return what a run's own policy came to."""
-        return self.rows[run]["trained"]
+    def trained(self, run: Run) -> list[Row]:
+        """Return what a run's own policies came to, one of every seed."""
+        return [self.rows[replace(run, repeat=k)]["trained"] for k in range(self.options.seeds)]
+
+    def mean(self, run: Run, column: str) -> Interval:
+        """Return the mean of a column over the seeds, and its interval."""
+        return interval([row.mean(column) for row in self.trained(run)])
+
+    def train_return(self, run: Run) -> Interval:
+        """Return the mean of Train Rew over the seeds, and its interval."""
+        return interval([row.train_return for row in self.trained(run)])
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean over seeds and its 95 % interval, whose ends are NaN where there are fewer than two values.
+
+    Attributes:
+        mean: The mean, NaN of none.
+        low, high: Ends of the interval.
+        count: Number of values.
+    """
+
+    mean: float
+    low: float
+    high: float
+    count: int
+
+    def apart(self, other: Interval) -> bool:
+        """Return whether both are of three values or more and do not overlap."""
+        enough = min(self.count, other.count) >= LEAST_SEEDS
+        return enough and (self.low > other.high or self.high < other.low)
+
+
+LEAST_SEEDS = 3
+"""Trainings that a verdict takes at least."""
+
+
+def interval(values: Sequence[float]) -> Interval:
+    """Return mean and 95 % interval of Student's t of the values that are known."""
+    known = [v for v in values if not math.isnan(v)]
+    mean = sum(known) / len(known) if known else math.nan
+    if len(known) < 2:
+        return Interval(mean, math.nan, math.nan, len(known))
+    half = float(stats.t.ppf(0.975, len(known) - 1)) * statistics.stdev(known) / math.sqrt(len(known))
+    return Interval(mean, mean - half, mean + half, len(known))

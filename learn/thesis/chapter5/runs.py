@@ -31,15 +31,18 @@ class Run:
     Attributes:
         left_out: Observation groups left out.
         noise: d_max, three standard deviations of the noise on points [m].
+        repeat: Which of several trainings that differ in their seed alone.
     """
 
     left_out: tuple[str, ...]
     noise: float
+    repeat: int = 0
 
     @property
     def name(self) -> str:
         """Return the name of its folder."""
-        return f"{'-'.join(('without', *self.left_out)) if self.left_out else 'all'}-{self.noise:g}"
+        seen = "-".join(("without", *self.left_out)) if self.left_out else "all"
+        return f"{seen}-{self.noise:g}-seed{self.repeat}"
 
 
 @dataclass(frozen=True)
@@ -96,11 +99,12 @@ class Options:
     noise_levels: tuple[float, ...] = (0.005, 0.02, 0.04)
     sets: int = 3
     worlds: int = 512
+    seeds: int = 3
     seed: int = 0
 
     def check(self) -> None:
         """Raise `InputError` for numbers that cannot be."""
-        for name, least in (("num_envs", 1), ("iterations", 1), ("sets", 1), ("worlds", 1), ("seed", 0)):
+        for name, least in (("num_envs", 1), ("iterations", 1), ("sets", 1), ("worlds", 1), ("seeds", 1), ("seed", 0)):
             value = getattr(self, name)
             if value is not None and value < least:
                 raise InputError("reproduce", f"--{name.replace('_', '-')}", str(value), f"{least} or more")
@@ -123,15 +127,18 @@ class Options:
 
     @property
     def runs(self) -> dict[Run, int]:
-        """Every run once and the sets that it is tested on: those of table 5.2, then what figure 5.4 has beside."""
-        found = {row.run: self.sets for row in TABLE_5_2}
+        """Every run once and the sets that it is tested on: those of table 5.2, then what figure 5.4 has beside.
+
+        All runs of a seed come before those of the next.
+        """
+        once = {row.run: self.sets for row in TABLE_5_2}
         for noise in self.noise_levels:
             for left_out in REMOVED.values():
-                found.setdefault(Run(left_out, noise), 1)
-        return found
+                once.setdefault(Run(left_out, noise), 1)
+        return {replace(run, repeat=k): sets for k in range(self.seeds) for run, sets in once.items()}
 
     def policies(self, run: Run) -> tuple[str, ...]:
-        """Policies that are tested beside a run: zero and random for rows (e) and (f)."""
+        """Policies that are tested beside a run: zero and random for rows (e) and (f) of the first seed."""
         return BASELINES if run in (TABLE_5_2[-2].run, TABLE_5_2[-1].run) else ()
 
     @property
@@ -146,7 +153,7 @@ class Options:
 
     def plan(self, run: Run, registry: TaskRegistry) -> Plan:
         """Return what a run computes."""
-        return Plan(TASK, self.settings(run, registry), self.ppo, self.seed, self.device)
+        return Plan(TASK, self.settings(run, registry), self.ppo, self.seed + run.repeat, self.device)
 
 
 def check_kept(folder: RunFolder, plan: Plan, registry: TaskRegistry) -> None:

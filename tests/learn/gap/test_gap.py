@@ -9,11 +9,11 @@ import pytest
 import torch
 from bough.learn.cases.case import BranchCase, load_case
 from bough.learn.cases.noise import estimate_noise
+from bough.learn.exam.grades import as_text, grades
 from bough.learn.gap.decide import alternatives, chosen, known, leading
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.evidence import family_wise, lacks_fit
-from bough.learn.gap.exam import as_text, grades
 from bough.learn.gap.models.candidates import Candidate, everywhere, names_for, probes_of
 from bough.learn.gap.models.contest import Batch, Contest, activated
 from bough.learn.gap.models.fitted import FittedModels, Model

@@ -88,6 +88,14 @@ def test_random_policy_is_even_and_seeded():
     assert abs(float(drawn.var()) - 1 / 3) < 5 * math.sqrt((1 / 5 - 1 / 9) / 20_000)
 
 
+def test_all_scenes_of_a_task_that_leaves_none_out_is_refused(run):
+    """Say so in one line and write nothing."""
+    before = sorted(p.name for p in run.iterdir())
+    with pytest.raises(InputError, match="--all-scenes: found reach; allowed: a task that leaves scenes out"):
+        evaluate(run, registry(), all_scenes=True)
+    assert sorted(p.name for p in run.iterdir()) == before
+
+
 def test_command_writes_and_prints_the_table(run, capsys):
     """Test trained, zero and random in the same worlds; the same command gives the same file."""
     assert Evaluate(run, sets=2, worlds=16, device="cpu").run(registry()) == 0

@@ -20,7 +20,7 @@ from bough.learn.systems.acting import Acting, unit_at
 from bough.learn.systems.branch import Unknowns
 from bough.learn.systems.system import free_of
 from bough.sim.base.errors import InputError
-from bough.sim.effects import Setting, effects
+from bough.sim.effects import effects
 from bough.sim.trees.measured import measured_tree
 from bough.sim.trees.stiffness import hold_rest_pose
 from bough.sim.trees.tree import Joint, Tree
@@ -275,7 +275,7 @@ def test_torque_fit_takes_effects(tmp_path):
 
 def test_units_of_a_slide_are_its_own():
     """Give a slide's effects metres and newtons where a hinge has radians and newton metres."""
-    turns, slides = Setting(), Setting(slides=True)
+    turns, slides = False, True
     known = {"N m": "N", "rad": "m", "1/rad^2": "1/m^2", "N m s^2/rad^2": "N s^2/m^2", "s": "s", "1": "1"}
     for unit, slid in known.items():
         assert (unit_at(unit, turns), unit_at(unit, slides)) == (unit, slid)

@@ -73,3 +73,43 @@ def test_replay_keeps_time(tmp_path):
     out = rollout(values, torch.zeros(1, 1, 1, 2, dtype=torch.float64))[0, 0, :, 0].double().numpy()
     left = np.sqrt(np.mean((out - recording[0].output[:, 0]) ** 2)) / recording[0].output.std()
     assert left < 0.1 * 0.5 * np.sqrt(1.1 / 6e-6) * case.dt / rollout.substeps
+
+
+def pendulum_case(folder, amplitude, zero_angle):
+    """Write a free pendulum, A = 12 N m, D = 0.3, hanging at 2.5 rad of its encoder, by scipy; two swings."""
+    from scipy.integrate import solve_ivp
+
+    folder.mkdir()
+    t = np.arange(300) * 0.01
+    for k, start in enumerate((0.8, -0.5)):
+        q = solve_ivp(lambda _, y: [y[1], -12.0 * np.sin(y[0] - 2.5) - 0.3 * y[1]], (0, 3), [2.5 + start, 0.0],
+                      t_eval=t, rtol=1e-10, atol=1e-10).y[0]  # fmt: skip
+        np.savetxt(folder / f"{k}.csv", np.column_stack([t, q]), delimiter=",", header="time_s,q", comments="")
+    joint = {"name": "swing", "type": "revolute", "inertia": 1.0, "stiffness": 0.0, "damping": None,
+             "gravity_torque": {"amplitude": amplitude, "zero_angle": zero_angle}}  # fmt: skip
+    meta = {"format": "joint-gap-case/1", "mechanism": {"joints": [joint]}, "input": None,
+            "outputs": [{"joint": "swing", "quantity": "position", "column": "q", "scale": 1.0}],
+            "trajectories": [{"file": f"{k}.csv", "t_start_s": 10.0 * k} for k in range(2)]}  # fmt: skip
+    (folder / "meta.yaml").write_text(yaml.safe_dump(meta))
+    return load_case(folder)
+
+
+def test_unknown_zero_angle(tmp_path):
+    """Guess size and direction of gravity's torque together, and swing alike whichever of the two is unknown."""
+    start, motions = torch.tensor([[[[3.3, 0.0]]]], dtype=torch.float64), []
+    for amplitude, zero in ((12.0, 2.5), (None, 2.5), (12.0, None), (None, None)):
+        case = pendulum_case(tmp_path / f"{amplitude}_{zero}", amplitude, zero)
+        system = system_of(case)
+        known = {"damping swing": 0.3, "gravity torque swing": 12.0, "zero angle swing": 2.5}
+        values = torch.tensor([[known[p.name] for p in system.parameters]], dtype=torch.float64)
+        assert len(system.parameters) == 1 + (amplitude is None) + (zero is None)
+        motions.append(Rollout(case, recordings(case)[:1], 1)(values, start)[0, 0, :, 0].numpy())
+        if zero is None:
+            found = guess_joint(case, case.joints[0])
+            np.testing.assert_allclose([found["gravity"], found["zero"]], [12.0, 2.5], rtol=0.01)
+            box = next(p for p in system.parameters if p.name == "zero angle swing")
+            assert box.high - box.low > 6.28 and box.low < 2.5 < box.high
+    # single precision along 300 steps; the way in which the mass hangs differs
+    for motion in motions[1:]:
+        np.testing.assert_allclose(motion, motions[0], atol=2e-4)
+    assert np.ptp(motions[0]) > 1.0

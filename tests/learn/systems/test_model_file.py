@@ -1,15 +1,12 @@
 """``model.yaml``: written, read, refused where it cannot be, simulated and identified with."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 import yaml
 from bough.cli.main import main
-from bough.learn.gap.diagnosis import Interval
-from bough.learn.gap.write import write_repaired
 from bough.learn.inference.identify import Settings, identify
 from bough.learn.replay.recording import recordings
 from bough.learn.replay.rollout import Rollout
@@ -41,7 +38,10 @@ def test_written_is_read(tmp_path):
     again = read_model(tmp_path / "model.yaml")
     assert (again.stiffness == MODEL.stiffness).all() and (again.damping == MODEL.damping).all()
     assert again.effects == MODEL.effects and (again.name, again.segment_name) == ("found", ("stick",))
-    assert again.size is None
+    assert again.size is None and again.claimed
+    assert "claimed" not in (tmp_path / "model.yaml").read_text()
+    write_model(tmp_path / "model.yaml", replace(MODEL, claimed=False))
+    assert not read_model(tmp_path / "model.yaml").claimed
     write_model(tmp_path / "model.yaml", replace(MODEL, size=SIZE / 3))
     assert (read_model(tmp_path / "model.yaml").size == SIZE / 3).all()
 
@@ -124,24 +124,6 @@ def test_sizes_tell_branches_apart(tmp_path):
         check_fits(replace(MODEL, size=size), case, "model.yaml")
     with pytest.raises(InputError, match=r"model\.yaml: segments, stick radius_tip_m: found 0.011; .* case's, 0\.01$"):
         check_fits(replace(MODEL, size=SIZE + np.array([0, 0, 1e-3])), case, "model.yaml")
-
-
-def test_a_diagnosis_writes_sizes_and_medians(tmp_path):
-    """Write the case's lengths and radii, the best springs and each effect's medians; nothing of a case of joints."""
-    case = stick_case(tmp_path / "case", [push()])
-    found = SimpleNamespace(
-        case=case, best_values={"stiffness stick": 21.0, "damping stick": 0.4}, effects=(Acting("dry_friction", 0),),
-        parameters={"dry_friction@0": {"torque_Nm": Interval(0.3, 0.2, 0.4, "N m"),
-                                       "bend_rad": Interval(0.002, 0.001, 0.003, "rad"),
-                                       "gradual": Interval(0.5, 0.2, 0.9, "1")}},
-    )  # fmt: skip
-    write_repaired(tmp_path / "model.yaml", found)
-    model = read_model(tmp_path / "model.yaml")
-    assert (model.stiffness, model.damping, model.size.tolist()) == (21.0, 0.4, SIZE.tolist())
-    assert model.effects == EFFECTS[:1]
-    check_fits(model, case, "model.yaml")
-    write_repaired(tmp_path / "joints.yaml", SimpleNamespace(case=None))
-    assert not (tmp_path / "joints.yaml").exists()
 
 
 class StoppedError(Exception):

@@ -1,6 +1,7 @@
 """The clearing task: rewards and counters by hand, observations by NumPy, memory that never moves, exact resume."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import torch
 import warp as wp
 from bough.kernels.tasks import clearing as kernels
 from bough.learn.tasks.clearing import make_task
+from bough.learn.tasks.overlaps import Overlaps
 from bough.learn.tasks.registry import plain, settings_from
 from bough.learn.tasks.settings import GROUPS, NAMES, PRESETS, TaskSettings, columns_of
 from bough.learn.tasks.task import METRICS
@@ -186,6 +188,53 @@ def test_a_group_left_out_leaves_the_others_as_they_are(env, left_out):
     assert part.shape[-1] == width
 
 
+def test_servo_targets_follow_a_schedule_by_hand(monkeypatch):
+    """At 10 and 60 Hz actions 0, 1, -0.5 become sixths of the way: 1/6 ... 1, then 0.75 ... -0.5, times the limit.
+
+    World 1 acts a step late. An action that is held stays, and the next episode starts from standing still.
+    """
+    env = make(settings=replace(SMALL, action_delay=1, episode_steps=4), worlds=2)
+    wp.to_torch(env._counters.action_delay).copy_(torch.tensor([0, 1]))
+    asked, step = [], env.simulator.step
+    monkeypatch.setattr(
+        env.simulator, "step", lambda count: (asked.append((count, env.simulator.target.clone())), step(count))
+    )
+    for a in (1.0, -0.5, -0.5, 2.0, 1.0):
+        env.step(torch.full((2, 6), a))
+        if env.done.all():
+            wp.to_torch(env._counters.action_delay).copy_(torch.tensor([0, 1]))
+    assert [count for count, _ in asked] == [4] * 30
+    sixths = np.arange(1, 7) / 6
+    rise, fall, still = sixths, 1.0 - 1.5 * sixths, np.full(6, -0.5)
+    expected = np.array([[*rise, *fall, *still, *(1.5 * sixths - 0.5), *rise],
+                         [*(0 * rise), *rise, *fall, *still, *(0 * rise)]])  # fmt: skip
+    found = torch.stack([target for _, target in asked], dim=1).numpy()
+    np.testing.assert_allclose(found, expected[..., None] * env.simulator.arm.velocity_limit, atol=1e-6)
+
+
+def test_one_control_period_a_step_is_the_action():
+    """At 60 and 60 Hz the target is the limit times the action, to the bit."""
+    env = make(settings=replace(SMALL, policy_rate=60.0), worlds=2)
+    limit = torch.tensor(env.simulator.arm.velocity_limit, dtype=torch.float32)
+    for a in actions(3, 2):
+        env.step(a)
+        assert torch.equal(env.simulator.target, limit * a)
+
+
+def test_noise_on_points_changes_no_score():
+    """Score a noisy world as its twin without noise, to the bit, reward and log included; what is seen differs."""
+    few = replace(SMALL.scene, branches=1, pairs=(150.0, 250.0))  # scores below 1
+    twins = [make(settings=replace(SMALL, scene=few, max_noise=(d, d))) for d in (0.0, 0.04)]
+    for a in actions(SMALL.episode_steps):
+        seen = [twin.step(a)[0]["policy"].clone() for twin in twins]
+        for name in ("reward", "done", "time_out"):
+            assert torch.equal(*(getattr(twin, name) for twin in twins))
+        assert torch.equal(*(twin.sensor.occlusion for twin in twins))
+        assert torch.equal(*(twin.sensor.breach for twin in twins))
+        assert not torch.equal(seen[0][:, 87], seen[1][:, 87])
+    assert all(torch.equal(*(twin._extras["log"][name] for twin in twins)) for name in METRICS)
+
+
 def test_latency_delays_actions_and_observations_by_whole_steps():
     """With delays set by hand, world w acts a_{t-w%3} and sees what world 0 of a twin without delay saw w%3 ago."""
     late = make(settings=replace(SMALL, action_delay=2, observation_delay=2, episode_steps=50))
@@ -253,6 +302,75 @@ def test_episode_log_counts_finished_episodes_once(env):
     for name in METRICS:
         assert found[name] == pytest.approx(float(extras["log"][name].mean()), rel=1e-5)
     assert env.episode_log() == {"episodes": 0.0}
+
+
+# ---- what a test tells ---------------------------------------------------------------------------------------------
+
+
+def test_overlaps_by_hand():
+    """Upright rods 1 m apart; then one thing moves into another at a time by a known depth, in world 1 alone.
+
+    Depths: link 1 into the base's neighbour 30 mm, a branch into the arm 10, into a branch 5, into the line 8, below
+    the ground 20. Branches that overlap at the start never count.
+    """
+    start = np.ones((2, 6, 3), np.float32)  # the arm's base, its links 0 and 1, three branches
+    start[:, :, 0] = [0.0, 1.0, 2.0, 3.0, 4.0, 4.01]  # the last two branches overlap from the start
+    start[:, :, 1] = 0.0
+    sim = SimpleNamespace(
+        model=SimpleNamespace(device=wp.get_device("cpu")),
+        capsules=SimpleNamespace(
+            start=wp.array(start, dtype=wp.vec3), end=wp.array(start + np.float32([0, 0, 0.4]), dtype=wp.vec3),
+            radius=wp.array(np.full((2, 6), 0.02, np.float32)), num_arm=3,
+        ),
+        line=SimpleNamespace(start=wp.array(np.float32([[9, -1, 1.2]] * 2), dtype=wp.vec3),
+                             end=wp.array(np.float32([[9, 1, 1.2]] * 2), dtype=wp.vec3), radius=0.01),
+        _arm=SimpleNamespace(constants=SimpleNamespace(
+            shape_link=wp.array([-1, 0, 1], dtype=int), pair=wp.array([[0, 2]], dtype=int))),
+    )  # fmt: skip
+    watch = Overlaps(sim, wp.array(np.zeros((2, 3), np.float32), dtype=wp.vec3))
+    both = torch.tensor([True, True])
+    watch.measure(both)
+    assert all(row == {"steps %": 0.0, "deepest mm": 0.0} for row in watch.rows().values())
+    ends = [sim.capsules.start.numpy(), sim.capsules.end.numpy()]
+    moves = [(2, (0.01, 0.0, 0.0)), (3, (1.03, 0.0, 0.0)), (3, (3.965, 0.0, 0.0)), (4, (8.978, 0.0, 0.0)),
+             (3, (3.0, 0.0, -1.0))]  # fmt: skip
+    for body, to in moves:
+        kept = [e[1, body].copy() for e in ends]
+        shift = np.float32([to[0] - kept[0][0], 0.0, to[2]])
+        for e, before in zip(ends, kept, strict=True):
+            e[1, body] = before + shift
+        watch.measure(both)
+        watch.measure(torch.tensor([True, False]))
+        for e, before in zip(ends, kept, strict=True):
+            e[1, body] = before
+    depth = {"arm and arm": 30, "arm and branches": 10, "branches and branches": 5, "branches and line": 8,
+             "branches and ground": 20}  # fmt: skip
+    steps = 2 + 3 * len(moves)
+    for kind, row in watch.rows().items():
+        assert row["deepest mm"] == pytest.approx(depth.get(kind, 0.0), abs=0.01), kind
+        assert row["steps %"] == pytest.approx(100 / steps if kind in depth else 0.0), kind
+
+
+def test_in_tests_the_arm_does_not_pass_through_itself():
+    """Random speeds for 4 s: in training the arm passes through itself by centimetres, in tests it does not.
+
+    Ten millimetres at most where servos of up to 40 N m press links together; nothing touches the ground.
+    """
+    found = {}
+    for test in (False, True):
+        task = make(settings=replace(SMALL, episode_steps=200), worlds=24, test=test)
+        watch, every = task.watch(), torch.ones(24, dtype=torch.bool)
+        for a in actions(4, 24).repeat_interleave(10, dim=0):
+            task.step(a)
+            watch.measure(every)
+        found[test] = watch.rows()
+        assert not task.lost.any() and not task.simulator.overflow.any()
+        assert found[test]["arm and ground"]["deepest mm"] == 0.0
+    assert found[False]["arm and arm"]["deepest mm"] > 20.0
+    assert found[True]["arm and arm"]["deepest mm"] < 10.0
+    contacts = task.simulator.contacts
+    assert contacts.arm_arm and contacts.branch_branch and contacts.ground is not None
+    assert contacts.ground <= float(task.scene.root[:, 2].min())
 
 
 # ---- memory and resume ---------------------------------------------------------------------------------------------
@@ -365,6 +483,15 @@ def test_other_targets_are_covered_and_run(name):
     length = np.linalg.norm(np.ptp(target, axis=2), axis=1)
     low, high = {"exposure": (0.15, 0.25), "inspection": (0.25, 0.60)}[name]  # a ball of 6 cm; 25-35 by 20 cm
     assert (length > low).all() and (length < high).all()
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_world_of_a_preset_has_a_tree_of_its_own(preset):
+    """In training and in tests no two worlds have the same wood, and no tree of a test is one of training."""
+    settings = replace(PRESETS[preset], episode_steps=4)
+    tasks = [make(settings=settings, worlds=6, test=test) for test in (False, True)]
+    wood = [tree.shape_radius.tobytes() for task in tasks for tree in task.simulator.model.trees]
+    assert len(set(wood)) == 12
 
 
 def test_settings_survive_json():

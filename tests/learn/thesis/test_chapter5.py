@@ -12,7 +12,6 @@ import torch
 import tyro
 from bough.cli.reproduce import Reproduce
 from bough.learn.policies import train_report
-from bough.learn.policies.evaluate import COLUMNS, Row
 from bough.learn.policies.ppo_settings import PRESETS as PPO
 from bough.learn.policies.train import Trainer
 from bough.learn.runs.folder import RunFolder
@@ -20,8 +19,9 @@ from bough.learn.tasks.clearing import make_task
 from bough.learn.tasks.registry import TaskRegistry
 from bough.learn.tasks.settings import GROUPS, NAMES, PRESETS, TaskSettings, columns_of
 from bough.learn.thesis.chapter5 import embedding
+from bough.learn.thesis.chapter5.findings import Interval, interval
 from bough.learn.thesis.chapter5.pointnet import PointNet
-from bough.learn.thesis.chapter5.report import curve, gain
+from bough.learn.thesis.chapter5.report import curve, verdict
 from bough.learn.thesis.chapter5.reproduce import check
 from bough.learn.thesis.chapter5.runs import REMOVED, TABLE_5_2, Options, Run, learn, outcome, runs_under
 from bough.sim.base.console import start_warp
@@ -93,19 +93,41 @@ def test_rows_see_what_the_thesis_says():
 
 
 def test_runs_of_table_and_figure_are_shared():
-    """Train six rows and 5 x 3 points with 17 runs: (c), (d), (e) and (f) are points of the figure too."""
-    runs = Options().runs
+    """Train six rows and 5 x 3 points with 17 runs: (c), (d), (e) and (f) are points of the figure too.
+
+    Three seeds take 51, all of the first seed first; they differ in the seed of training, not in that of the tests.
+    """
+    runs = Options(seeds=1).runs
     assert len(runs) == 17 and len({run.name for run in runs}) == 17
     assert [runs[row.run] for row in TABLE_5_2] == [3] * 6 and sum(runs.values()) == 6 * 3 + 11
-    assert TABLE_5_2[0].run.name == "without-kme-touch-local-0.02" and TABLE_5_2[-1].run.name == "all-0.005"
+    assert TABLE_5_2[0].run.name == "without-kme-touch-local-0.02-seed0"
+    assert TABLE_5_2[-1].run.name == "all-0.005-seed0"
+    three = Options(seed=7).runs
+    assert len(three) == 51 and [run.repeat for run in three] == [0] * 17 + [1] * 17 + [2] * 17
+    registry = TaskRegistry(NAMES, GROUPS, PRESETS, make_task)
+    plans = [Options(seed=7).plan(run, registry) for run in list(three)[::17]]
+    assert [plan.seed for plan in plans] == [7, 8, 9] and len({plan.settings for plan in plans}) == 1
+    assert [len(Options().policies(replace(TABLE_5_2[-1].run, repeat=k))) for k in range(3)] == [2, 0, 0]
     assert Options(iterations=1250, num_envs=6144).share == 1.0
 
 
-def test_gain_and_its_error_by_hand():
-    """Sets of 10, 20, 30 and of 40, 40, 40 %: 20 points, sqrt(100 / 3) their error; one set tells no error."""
-    rows = [Row("trained", 0.0, 3, [dict.fromkeys(COLUMNS, v) for v in sets]) for sets in ((10, 20, 30), (40, 40, 40))]
-    assert gain(*rows) == pytest.approx((20.0, math.sqrt(100 / 3)))
-    assert math.isnan(gain(rows[0], Row("trained", 0.0, 1, rows[1].sets[:1]))[1])
+def test_intervals_over_seeds_by_hand():
+    """Of 10, 20 and 30: 20 +- 4.3027 x 10 / sqrt 3 (table of t, two degrees of freedom); one value has no interval."""
+    found = interval([10.0, 20.0, 30.0])
+    half = 4.302652729911275 * 10 / math.sqrt(3)
+    assert (found.mean, found.low, found.high) == pytest.approx((20.0, 20.0 - half, 20.0 + half))
+    one = interval([7.0, math.nan])
+    assert one.mean == 7.0 and math.isnan(one.low) and one.count == 1
+
+
+def test_a_verdict_takes_three_seeds_and_intervals_apart():
+    """No word where intervals overlap or touch, nor with one or two trainings, however far apart they are."""
+    low, high = interval([10.0, 11.0, 12.0]), interval([40.0, 41.0, 42.0])
+    assert verdict(low, high) == "helps" and verdict(high, low) == "harms"
+    assert verdict(low, interval([10.0, 20.0, 60.0])) == "-"
+    assert verdict(Interval(1.0, 0.0, 2.0, 3), Interval(3.0, 2.0, 4.0, 3)) == "-"
+    for few in ([40.0, 40.1], [40.0]):
+        assert verdict(low, interval(few)) == verdict(interval(few), low) == "-"
 
 
 def test_curve_weighs_episodes():
@@ -148,7 +170,7 @@ def untimed(out):
 def test_command_that_is_interrupted_goes_on(tiny, no_timing, tmp_path, monkeypatch, capsys):
     """Stop inside the third run; go on, keep what is done, and end with the tables of an uninterrupted command."""
     monkeypatch.setattr(train_report, "write", lambda folder: None)  # eight pages more, seconds of drawing
-    level = ("--noise-levels", "0.02")
+    level = ("--noise-levels", "0.02", "--seeds", "1")
     assert command(tmp_path / "whole", *level).run(points()) == 0
     said = capsys.readouterr().out
     assert said.count("\n") == 1 and "report.html" in said
@@ -175,9 +197,16 @@ def test_command_that_is_interrupted_goes_on(tiny, no_timing, tmp_path, monkeypa
 
 
 def test_report_holds_every_table_and_figure(tiny, no_timing, tmp_path):
-    """Show the thesis's rows beside ours, zero and random, and the scale; need no other page."""
+    """Show the thesis's rows beside ours over two seeds, zero and random, and the scale; need no other page.
+
+    Begun with one seed and gone on to two: the first one's runs stay.
+    """
     out = tmp_path / "out"
-    assert command(out).run(points()) == 0
+    assert command(out, "--seeds", "1").run(points()) == 0
+    first = out / "runs" / "all-0.02-seed0" / "metrics.csv"
+    before = first.stat().st_mtime_ns
+    assert command(out, "--seeds", "2", "--resume").run(points()) == 0
+    assert first.stat().st_mtime_ns == before
     kept = json.loads((out / "tables.json").read_text())["tables"]
     assert set(kept) == {"table_5_2", "table_5_2_added", "figure_5_4", "figure_5_4_policies", "table_5_3"}
     rows = {row[0]: row for row in kept["table_5_2"]["rows"]}
@@ -185,16 +214,22 @@ def test_report_holds_every_table_and_figure(tiny, no_timing, tmp_path):
     assert rows["thesis, (f) all, less noise"][4:] == [
         "1763.6 ± 21.5", "68.4 ± 2.1", "53.7 ± 2.2", "3.3 ± 0.4", "429.8 ± 25.6",
     ]  # fmt: skip
-    found = json.loads((out / "runs" / "all-0.02" / "evaluation.json").read_text())["rows"]
-    for label, entry in zip(("(e) all", "zero, worlds of (e)", "random, worlds of (e)"), found, strict=True):
+    found = [json.loads((out / "runs" / f"all-0.02-seed{k}" / "evaluation.json").read_text())["rows"] for k in (0, 1)]
+    for label, entry in zip(("zero, worlds of (e)", "random, worlds of (e)"), found[0][1:], strict=True):
         reward = entry["Test Rew"]
         assert rows[f"bough, {label}"][4] == f"{reward['mean']:.1f} ± {reward['spread']:.1f}"
-    assert len(kept["figure_5_4_policies"]["rows"]) == 5 * 2
+    ours = [entry[0]["Test Rew"]["mean"] for entry in found]
+    half = 12.706204736174698 * abs(ours[0] - ours[1]) / 2  # t of one degree of freedom, deviation over root two
+    mean = sum(ours) / 2
+    assert rows["bough, (e) all"][4] == f"{mean:.1f} ({mean - half:.1f} to {mean + half:.1f})"
+    assert rows["bough, (e) all"][3] == 2 * 2 * 4 and len(found[1]) == 1
+    assert {row[-1] for row in kept["table_5_2_added"]["rows"]} == {"-"}  # two seeds are too few for a word
+    assert len(kept["figure_5_4_policies"]["rows"]) == 5 * 2 * 2
     text = html.unescape((out / "report.html").read_text())
     assert all(table["title"] in text for table in kept.values())
     assert "4 worlds and 2 iterations" in text and not re.search(r"https?:", text)
     assert sorted(p.name for p in out.glob("*.png")) == ["figure_5_4.png", "table_5_2.png", "table_5_2_curves.png"]
-    assert (out / "runs" / "all-0.02" / "report.html").exists()
+    assert (out / "runs" / "all-0.02-seed1" / "report.html").exists()
 
 
 def test_runs_can_be_longer_and_nothing_else(tiny, tmp_path, monkeypatch):
@@ -222,6 +257,7 @@ def test_runs_can_be_longer_and_nothing_else(tiny, tmp_path, monkeypatch):
         (("--num-envs", "0"), "reproduce: --num-envs: found 0; allowed: 1 or more"),
         (("--iterations", "0"), "reproduce: --iterations: found 0"),
         (("--sets", "0"), "reproduce: --sets: found 0"),
+        (("--seeds", "0"), "reproduce: --seeds: found 0"),
         (("--noise-levels", "0.02", "0.02"), "reproduce: --noise-levels: found 0.02, 0.02; allowed: one or more"),
         (("--noise-levels", "-0.1"), "reproduce: --noise-levels: found -0.1"),
         (("--device", "tpu"), "--device: found tpu"),

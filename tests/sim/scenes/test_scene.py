@@ -32,7 +32,7 @@ class Worlds:
     """A simulator and its scene, with every world placed for episode 0."""
 
     def __init__(self, settings=SETTINGS, seed=0, domain="training", worlds=WORLDS):
-        self.distinct = grow_trees(settings, jaco2(), seed=seed, domain=domain)
+        self.distinct = grow_trees(settings, jaco2(), worlds, seed=seed, domain=domain)
         trees, self.index = share_trees(self.distinct, worlds)
         self.sim = ArmSimulator(trees, jaco2(), device="cpu")
         self.scene = Scene(self.sim, self.distinct, self.index, settings, seed=seed, domain=domain)
@@ -74,10 +74,26 @@ def gaps(p, q, a, b, n=65):
     return np.array([np.linalg.norm(one[:, s, None] - two[None, :, 0], axis=-1).min() for s in range(len(p))])
 
 
+def test_every_world_has_a_tree_of_its_own():
+    """Unless told otherwise no two worlds share a tree: sizes and springs differ in all pairs; fewer worlds, the same.
+
+    A tree does not depend on how many are grown beside it, and ``distinct`` gives the worlds so many in turn.
+    """
+    trees = grow_trees(SceneSettings(), jaco2(), 24, seed=4)
+    for name in ("shape_radius", "stiffness"):
+        assert len({getattr(tree, name).tobytes() for tree in trees}) == 24
+    for one, same in zip(trees, grow_trees(SceneSettings(), jaco2(), 3, seed=4), strict=False):
+        for name in ("position", "shape_radius", "stiffness", "preload"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(same, name))
+    assert share_trees(trees, 24)[1].tolist() == list(range(24))
+    few = grow_trees(replace(SceneSettings(), distinct=5), jaco2(), 24, seed=4)
+    assert len(few) == 5 and share_trees(few, 24)[1].tolist() == [*range(5)] * 4 + [*range(4)]
+
+
 def test_trees_are_held_by_their_trunk_and_hang_at_rest():
     """Trunk fixed, all else spherical, 10 to 53 links; the pre-load balances the weight, so the rest pose is kept."""
     for settings in (SETTINGS, replace(SETTINGS, order=3, distinct=2)):
-        for tree in grow_trees(settings, jaco2(), seed=1):
+        for tree in grow_trees(settings, jaco2(), 6, seed=1):
             assert 10 <= tree.num_links <= 53
             assert tree.joint[0] == Joint.FIXED
             assert (tree.joint[1:] == Joint.SPHERICAL).all()
@@ -86,7 +102,7 @@ def test_trees_are_held_by_their_trunk_and_hang_at_rest():
 
 def test_tips_give_way_by_ten_centimetres_under_a_hand_force():
     """Compliance of the joints in series, d = sum (r x F) x r / K: 0.1 m takes 3 to 20 N at every tip, across it."""
-    for tree in grow_trees(SETTINGS, jaco2(), seed=2):
+    for tree in grow_trees(SETTINGS, jaco2(), 6, seed=2):
         position, rotation = rest_pose(tree)
         end = position[tree.shape_link] + quat_rotate(rotation[tree.shape_link], tree.shape_end)
         for tip in set(range(tree.num_links)) - set(tree.parent.tolist()):
@@ -117,7 +133,7 @@ def wood_by_hand(tree):
 def test_trees_of_a_measured_branch_have_its_wood():
     """Springs and dampers of the worlds by hand, times the episode's factors; shape and pre-load as without."""
     worlds = Worlds(replace(SETTINGS, wood=WOOD), worlds=12)
-    for tree, plain in zip(worlds.distinct, grow_trees(SETTINGS, jaco2(), seed=0), strict=True):
+    for tree, plain in zip(worlds.distinct, grow_trees(SETTINGS, jaco2(), 6, seed=0), strict=True):
         np.testing.assert_array_equal(tree.position, plain.position)
         np.testing.assert_array_equal(tree.preload, plain.preload)
     model = worlds.sim.model
@@ -132,12 +148,12 @@ def test_trees_of_a_measured_branch_have_its_wood():
 
 def test_wood_that_its_own_weight_topples_is_refused():
     with pytest.raises(InputError, match=r"wood: found .* toppling under its own weight; allowed: stiffer wood"):
-        grow_trees(replace(SETTINGS, wood=((0.01, 5e7, 0.02),)), jaco2(), seed=0)
+        grow_trees(replace(SETTINGS, wood=((0.01, 5e7, 0.02),)), jaco2(), 6, seed=0)
 
 
 def test_compliance_is_what_springs_in_series_give():
     """Middle of a capsule under 1 N: the least displacement over 64 level directions, by cross products."""
-    tree = grow_trees(SETTINGS, jaco2(), seed=3)[0]
+    tree = grow_trees(SETTINGS, jaco2(), 6, seed=3)[0]
     position, rotation = rest_pose(tree)
     link = tree.shape_link
     middle = position[link] + quat_rotate(rotation[link], (tree.shape_start + tree.shape_end) / 2)
@@ -231,6 +247,38 @@ def test_clearing_takes_a_push_of_centimetres(worlds):
         assert gap[side_compliance(tree) < 0.1 / SETTINGS.firm].min() > 0.15
 
 
+def test_what_is_left_out_is_told_by_rule():
+    """Places without the rules of what is feasible: firm wood, deep branches and their number, by points on the axes.
+
+    Gaps by 65 points on 0.2 to 1 m miss by 3 mm; worlds that are nearer than that to a rule do not count.
+    """
+    every = Worlds(replace(SETTINGS, feasible=False, branches=1))
+    left_out, told, (start, end) = every.scene.left_out(), 0, every.line()
+    edge = 0.15
+    for w in range(WORLDS):
+        p, q, _ = every.branches(w)
+        gap, firm = gaps(p, q, start[w], end[w]), side_compliance(every.distinct[every.index[w]]) < 0.1 / SETTINGS.firm
+        radius = every.branches(w)[2]
+        rules = {"firm wood": edge + radius[firm] - gap[firm], "deep branches": edge - gap[~firm] - SETTINGS.depth[1]}
+        for name, reaching in rules.items():
+            if np.abs(reaching).min() > 0.003:
+                assert bool(left_out[name][w]) == bool((reaching > 0).any()), name
+                told += 1
+        if np.abs(gap - edge).min() > 0.003:
+            assert every.scene.crowd[w, 3] == (gap < edge).sum()
+    assert told > WORLDS
+    for name in ("firm wood", "deep branches", "many pairs", "any"):
+        assert left_out[name].any() and (name == "any" or not left_out[name].all())
+    assert torch.equal(left_out["any"], left_out["firm wood"] | left_out["deep branches"] | left_out["many pairs"])
+
+
+def test_places_that_keep_the_rules_are_not_left_out(worlds):
+    """Three branches or more at every target, of as many pairs as asked for, none firm or deep."""
+    kept = worlds.scene.breach == 0.0
+    assert not worlds.scene.left_out()["any"][kept].any()
+    assert worlds.scene.crowd[kept, 3].min() >= 3 and worlds.scene.crowd[kept, 2].min() >= SETTINGS.pairs[0]
+
+
 def drawn(scene, sim):
     names = ("root", "turn", "stiffness", "damping")
     return torch.cat([getattr(scene, n).reshape(len(sim.line_mask), -1) for n in names] + [sim.line_start], dim=1)
@@ -315,7 +363,7 @@ def test_seeds_of_domains_differ():
 )  # fmt: skip
 def test_bad_settings_are_refused_in_one_line(change, place, found):
     with pytest.raises(InputError) as error:
-        grow_trees(replace(SETTINGS, **change), jaco2(), seed=0)
+        grow_trees(replace(SETTINGS, **change), jaco2(), 6, seed=0)
     assert error.value.place == place and found in error.value.found
     assert "\n" not in str(error.value)
 

@@ -1,0 +1,129 @@
+"""Holding an exam: cases with effects hidden by another simulator, diagnosed, graded, and drawn."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.progress import Progress
+
+from ...sim.base.errors import InputError
+from ..cases.case import load_case
+from ..gap.diagnose import find_missing
+from ..gap.diagnosis import Settings
+from ..gap.run import Run
+from ..hidden import NAMES, Spec, exam_plan, hide
+from ..hidden.joints.hide import FAINT, hide_joints
+from ..hidden.joints.plan import JointCaseSpec, joint_plan
+from ..reports.figures import png
+from ..runs.threads import one_thread
+from .grades import WANTED, WANTED_JOINTS, as_text, grades, names_of
+
+#: Noise of a branch's sensors where the command does not say.
+NOISE = 0.03
+
+
+def hold(
+    out: Path, *, cases: int, noise: float | None, seed: int, jobs: int, joints: bool = False, hard: bool = False,
+    held_back: bool = False,
+) -> str:  # fmt: skip
+    """Hold an exam and return its table; see `cli.diagnose.Exam`.
+
+    Raises:
+        InputError: A number cannot be.
+    """
+    for name, value, low in (("cases", cases, 1), ("jobs", jobs, 1)):
+        if value < low:
+            raise InputError("exam", f"--{name}", str(value), f"{low} or more")
+    if joints and (hard or held_back):
+        raise InputError("exam", "--hard", "with --joints", "branches: every case of joints is as hard as it gets")
+    if noise is not None and joints:
+        raise InputError(
+            "exam", "--noise", f"{noise:g} with --joints", "no --noise: every joint has sensors of its own"
+        )
+    if noise is not None and not 0.0 < noise < 1.0:
+        raise InputError("exam", "--noise", f"{noise:g}", "a share of the rms, 0 to 1")
+    noise = None if joints else NOISE if noise is None else noise
+    out.mkdir(parents=True, exist_ok=True)
+    place = out / "results.jsonl"
+    done = [json.loads(line) for line in place.read_text().splitlines()] if place.exists() else []
+    plan: list[Spec | JointCaseSpec] = []
+    plan += (
+        joint_plan(cases, seed)
+        if noise is None
+        else exam_plan(cases, seed, noise=noise, hard=hard, held_back=held_back)
+    )
+    todo = [(k, s) for k, s in enumerate(plan) if k not in {d["case"] for d in done}]
+    with Progress() as bar, multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        task = bar.add_task("exam", total=cases, completed=cases - len(todo))
+        for result in pool.imap_unordered(sit, todo):
+            with place.open("a") as file:
+                file.write(json.dumps(result) + "\n")
+            done.append(result)
+            bar.advance(task)
+    done = [d for d in done if d["case"] < cases]
+    wanted = WANTED_JOINTS if joints else WANTED
+    table = grades(done, wanted)
+    (out / "exam.json").write_text(json.dumps({"noise": noise, "seed": seed, "grades": table}, indent=1) + "\n")
+    (out / "confusion.png").write_bytes(confusion_figure(done))
+    text = as_text(table, noise, wanted)
+    (out / "exam.md").write_text(text + "\n")
+    return text
+
+
+def sit(item: tuple[int, Spec | JointCaseSpec]) -> dict[str, Any]:
+    """Hide one case, diagnose it, and return answer and verdict."""
+    number, spec = item
+    with tempfile.TemporaryDirectory() as folder, one_thread():
+        place = Path(folder) / "case"
+        if isinstance(spec, JointCaseSpec):
+            answer = hide_joints(place, **spec.options)
+            noise = max(answer["noise"], FAINT)
+        else:
+            answer, noise = hide(place, **spec.options), spec.noise
+        found = find_missing(load_case(place), Run(Settings(particles=0)))
+    verdict = found.verdict_file()
+    verdict["case"] = number
+    keys = ("null", "out_of_library", "effects", "equivalents", "weak", "visible_gap", "rig", "outside", "rate",
+            "measurement_gap")  # fmt: skip
+    truth = {k: answer[k] for k in keys if k in answer}
+    return {"case": number, "kind": spec.kind, "noise": noise, "seed": spec.seed, "truth": truth,
+            "verdict": verdict, "seconds": found.seconds["total"],
+            "reduced_chi2": found.ranking[0].reduced_chi2, "base_reduced_chi2": found.base_reduced_chi2,
+            "motion": found.motion,
+            "ranking": [(r.effects, r.reduced_chi2, r.delta, r.explained) for r in found.ranking]}  # fmt: skip
+
+
+def confusion_figure(results: Sequence[dict[str, Any]]) -> bytes:
+    """Return the confusion matrix as PNG: hidden down, named across; pairs count for each of their effects."""
+    rows, columns = ["none", *NAMES, "outside"], ["none", *NAMES, "unknown"]
+    count = np.zeros((len(rows), len(columns)), dtype=int)
+    for r in results:
+        truth = r["truth"]
+        hidden = ["none"] if truth["null"] else ["outside"] if truth["out_of_library"] else _hidden(truth)
+        named = names_of(r) or [r["verdict"]["verdict"]]
+        for h in hidden:
+            own = [n for n in named if n == h] or [n for n in named if n not in hidden] or named[:1]
+            count[rows.index(h), columns.index(own[0])] += 1
+    figure = Figure(figsize=(9.0, 8.4), layout="constrained")
+    axes = figure.subplots()
+    axes.imshow(count / np.maximum(count.sum(1, keepdims=True), 1), cmap="Blues", vmin=0.0, vmax=1.0)
+    for (i, j), value in np.ndenumerate(count):
+        if value:
+            axes.text(j, i, str(value), ha="center", va="center", fontsize=8,
+                      color="white" if value > 0.6 * count[i].sum() else "black")  # fmt: skip
+    axes.set_xticks(range(len(columns)), [c.replace("_", " ") for c in columns], rotation=90, fontsize=8)
+    axes.set_yticks(range(len(rows)), [c.replace("_", " ") for c in rows], fontsize=8)
+    axes.set_xlabel("named")
+    axes.set_ylabel("hidden")
+    return png(figure)
+
+
+def _hidden(truth: dict[str, Any]) -> list[str]:
+    return [e["name"] for e in truth["effects"]]

@@ -1,0 +1,131 @@
+"""The repaired model: one set of numbers for verdict, tables, figures, ``model.yaml`` and ``posterior.npz``.
+
+Base and repaired model are fitted to the training recordings, with rigid segments. Where there is a posterior, the
+repaired model is that of its medians. What is claimed of a model is what `replay_model` simulates of it, which is what
+``bough simulate --model`` does with the written file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...sim.base.types import Array
+from ...sim.effects import effect_of
+from ...sim.effects.registry import Form
+from ..cases.case import BranchCase
+from ..inference.posterior import Posterior
+from ..inference.replayed import held_out, replay_model
+from ..inference.report import unit_of
+from ..systems.acting import Acting
+from ..systems.joint_file import JointModel
+from ..systems.model_file import BranchModel
+from ..systems.model_file import Model as ModelFile
+from .decide import Decision
+from .diagnosis import Gap
+from .held_out import refitted
+from .models.contest import Contest
+from .models.fitted import Model
+from .posterior import Intervals, infer, intervals
+from .prepare import Base
+from .run import Run
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """What a diagnosis writes and claims.
+
+    Attributes:
+        model: The repaired model as it is written.
+        gap: Held-out RMSE before and after.
+        base_values, values: Parameters of base and repaired model in SI units, by name.
+        base_output, output: Channels that they simulate, shape [R, T, C].
+        posterior: Of the repaired model, or None.
+        parameters: Intervals of the named effects' parameters.
+        implausible: Parameters of named effects with a value that nature does not have, by label and name.
+    """
+
+    model: ModelFile
+    gap: Gap
+    base_values: dict[str, float]
+    values: dict[str, float]
+    base_output: Array
+    output: Array
+    posterior: Posterior | None
+    parameters: Intervals
+    implausible: tuple[str, ...]
+
+    @property
+    def base_stiffness(self) -> Array | None:
+        """Springs of a branch's joints in the base model [N m/rad], base first; None for joints."""
+        found = [v for name, v in self.base_values.items() if name.startswith("stiffness ")]
+        return np.array(found) if isinstance(self.model, BranchModel) else None
+
+
+def repair(base: Base, decision: Decision, run: Run) -> Repaired:
+    """Fit base and repaired model to the training recordings, infer what is uncertain, and measure what they leave."""
+    contest = base.contest
+    train, _ = held_out(contest.case)
+    fits = refitted(contest, decision, train)
+    own = fits.batch[slice(1, 2)]
+    posterior = infer(contest, decision, own, train, run)
+    parameters = intervals(contest, decision, own, train, posterior)
+    rows = contest.values(fits.batch).tolist()
+    before, after = _values(contest, decision.base, rows[0]), _values(contest, decision.final, rows[1])
+    if posterior is not None:
+        after = dict(zip(posterior.names, posterior.interval()[0].tolist(), strict=True))
+    claimed = decision.verdict != "unknown" or not decision.final.members
+    models = [model_from(contest, decision.base, before), model_from(contest, decision.final, after, claimed=claimed)]
+    seen = [replay_model(contest.case, m, off_in(contest, m)) for m in models]
+    floor = float(np.sqrt(np.mean(base.noise.sigma[list(seen[0].main)] ** 2)))
+    gap = Gap(seen[0].rms, seen[1].rms, floor, unit_of(contest.case), seen[0].test)
+    return Repaired(models[1], gap, before, after, seen[0].output, seen[1].output, posterior, parameters,
+                    implausible(contest, decision, parameters))  # fmt: skip
+
+
+def _values(contest: Contest, model: Model, row: list[float]) -> dict[str, float]:
+    """Return the values of a model's own parameters by name, of a row of all."""
+    columns = [*range(contest.num_base), *(k for c in model.members for k in contest.candidates[c].columns)]
+    return {contest.parameters[k].name: row[k] for k in columns}
+
+
+def model_from(contest: Contest, model: Model, values: Mapping[str, float], *, claimed: bool = True) -> ModelFile:
+    """Return a model of the search, with the given parameters, as it is written."""
+    case, own = contest.case, contest.parameters[: contest.num_base]
+    acting = []
+    for c in model.members:
+        candidate = contest.candidates[c]
+        known = {s.name: values[f"{candidate.acting.label} {s.name}"] for s in candidate.specs}
+        acting.append(replace(candidate.acting, known=known))
+    if isinstance(case, BranchCase):
+        names = case.segment_name
+        spring, damper = (np.array([values[f"{k} {n}"] for n in names]) for k in ("stiffness", "damping"))
+        size = np.column_stack([case.length, case.radius])
+        return BranchModel(case.name, names, spring, damper, tuple(acting), size, claimed)
+    return JointModel(
+        case.name, case.fit, tuple((j.name, j.type) for j in case.joints), tuple(p.name for p in own),
+        tuple(p.unit for p in own), np.array([values[p.name] for p in own]), tuple(acting), claimed,
+        case.filter_hz if case.fit == "torque" else None,
+    )  # fmt: skip
+
+
+def off_in(contest: Contest, model: ModelFile) -> list[Acting]:
+    """Return the candidates that a model does not have, switched off; none for a model without effects."""
+    have = [a.label for a in model.effects]
+    return [replace(c.acting, known={s.name: s.neutral for s in c.specs})
+            for c in contest.candidates if have and c.acting.label not in have]  # fmt: skip
+
+
+def implausible(contest: Contest, decision: Decision, parameters: Intervals) -> tuple[str, ...]:
+    """Return the parameters of named effects whose whole interval is outside what nature or a sensor has."""
+    out = []
+    form: Form = "branch" if isinstance(contest.case, BranchCase) else "joint"
+    for acting in decision.named:
+        for spec in effect_of(acting.name).law(form).parameters:
+            own = parameters[acting.label][spec.name]
+            if spec.plausible and not (own.low <= spec.plausible[1] and own.high >= spec.plausible[0]):
+                low, high = spec.plausible
+                out.append(f"{acting.label} {spec.name} {own.median:.3g} {own.unit} (nature has {low:g} to {high:g})")
+    return tuple(out)

@@ -1,0 +1,195 @@
+"""Whether a verdict on measured joints hangs on how their recordings are treated: filter, rate, split.
+
+The leading models are fitted again to the same recordings under another cut-off of the filter (torques) or at half the
+rate (replays), and to a part of the recordings. A name that does not survive is not claimed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ...sim.base.errors import InputError
+from ..cases.case import BranchCase, JointCase, JointTrajectory
+from ..inference.identify import pooled_sigma
+from ..replay.choice import roughness
+from ..replay.equation_error import fits_torque, noise_of, recordings_of, thinned
+from ..replay.motion_noise import motion_noise
+from .decide import Decision, alternatives, decide, known, leading
+from .evidence import bootstrap_test
+from .models.at_rest import Noise
+from .models.contest import Batch, Contest
+from .models.fitted import FittedModels, Model
+from .models.refit import fit
+from .prepare import Base
+from .run import Run
+from .search import Searched
+
+#: Models that are fitted again, and the most steps of it.
+LEADING, STEPS = 10, 12
+#: Other cut-offs of the filter, relative to the case's own.
+CUTOFFS = (0.5, 1.6)
+#: Largest deviation of a skipped sample from the middle of its neighbours, relative to the channel's rms, at which half
+#: of the samples still show the motion.
+SMOOTH = 0.05
+#: Factor of the p-value of another treatment where the case's own names nothing.
+UNDO = 100.0
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The same recordings, treated otherwise.
+
+    Attributes:
+        what: How, such as ``a filter of 12 Hz``.
+        case: The case.
+        recordings: Indices of the trajectories that are used.
+    """
+
+    what: str
+    case: JointCase
+    recordings: tuple[int, ...]
+
+
+def steadied(base: Base, searched: Searched, decision: Decision, run: Run) -> Decision:
+    """Return a decision on joints without the names that another filter, rate or split does not give.
+
+    Unknown if none is left, or if nothing was named and another treatment names something.
+    """
+    case = base.contest.case
+    if isinstance(case, BranchCase) or decision.verdict == "unknown":
+        return decision
+    kept, changes = decision.model.members if decision.verdict == "effects" else (), []
+    for variant in variants(case):
+        again = _again(base, searched, decision, variant, run)
+        names = {a.name for a in again.named} | {n for rivals in again.alternatives.values() for n in rivals}
+        lost = [c for c in kept if again.verdict != "none" and _name(searched, c) not in names]
+        if lost or (again.verdict == "effects" and not decision.named):
+            changes.append(f"{variant.what} gives {_called(again)}")
+        kept = tuple(c for c in kept if c not in lost)
+    return decision if not changes else _reduced(searched, decision, kept, tuple(changes))
+
+
+def _name(searched: Searched, candidate: int) -> str:
+    return searched.fitted.contest.candidates[candidate].name
+
+
+def _called(decision: Decision) -> str:
+    return " and ".join(a.name for a in decision.named) or "none of these"
+
+
+def _reduced(searched: Searched, decision: Decision, kept: tuple[int, ...], changes: tuple[str, ...]) -> Decision:
+    """Return the decision for the effects that are kept, with the model that has them alone."""
+    fitted = searched.fitted
+    alone = [m for m in fitted.of_size(len(kept)) if set(m.members) == set(kept)] if kept else []
+    if not alone or not known(fitted, alone[0]):
+        nearest = fitted.contest.candidates[leading(fitted, decision.model)].name if decision.model.members else None
+        return replace(decision, verdict="unknown", named=(), alternatives={}, nearest=nearest,
+                       final=decision.model, unstable=changes)  # fmt: skip
+    model = alone[0]
+    named = tuple(fitted.contest.candidates[c].acting for c in model.members)
+    return replace(decision, model=model, final=model, named=named, alternatives=alternatives(fitted, model),
+                   unstable=changes)  # fmt: skip
+
+
+def variants(case: JointCase) -> Iterator[Variant]:
+    """Yield other treatments of a case's recordings: another filter or rate, and a part of the recordings."""
+    every = tuple(range(len(case.trajectories)))
+    if fits_torque(case):
+        for cutoff in (share * case.filter_hz for share in CUTOFFS):
+            other = replace(case, filter_hz=cutoff)
+            if cutoff < 0.4 / case.dt and _usable(other):
+                yield Variant(f"a filter of {cutoff:.3g} Hz", other, every)
+    elif _smooth(case):
+        yield Variant(f"a rate of {0.5 / case.dt:.4g} Hz", at_half_rate(case), every)
+    if len(every) > 1:
+        for part in (every[::2], every[1::2]):
+            numbers = ", ".join(str(k + 1) for k in part)
+            yield Variant(f"recording{'s' if len(part) > 1 else ''} {numbers} alone", case, part)
+    else:
+        half = replace(case, trajectories=(_beginning(case.trajectories[0]),))
+        if not fits_torque(case) or _usable(half):
+            yield Variant("the first half of the recording", half, every)
+
+
+def _usable(case: JointCase) -> bool:
+    try:
+        return roughness(case) is None
+    except InputError:
+        return False
+
+
+def _beginning(t: JointTrajectory) -> JointTrajectory:
+    half = len(t.t) // 2
+    return replace(t, t=t.t[:half], effort=t.effort[:half], output=t.output[:half])
+
+
+def at_half_rate(case: JointCase) -> JointCase:
+    """Return a case of every second sample; efforts are averaged over the samples left out, so that impulses stay."""
+    held = np.array([item.hold == "zero_order" for item in case.inputs], dtype=bool)
+    out = []
+    for t in case.trajectories:
+        count = len(t.t) // 2
+        after = np.concatenate([t.effort[1:], t.effort[-1:]])
+        before = np.concatenate([t.effort[:1], t.effort[:-1]])
+        effort = np.where(held, 0.5 * (t.effort + after), 0.25 * (before + 2.0 * t.effort + after))
+        kept = slice(0, 2 * count, 2)
+        out.append(replace(t, t=t.t[kept], effort=effort[kept], output=t.output[kept]))
+    return replace(case, dt=2.0 * case.dt, trajectories=tuple(out))
+
+
+def _smooth(case: JointCase) -> bool:
+    """Return whether half of the samples still show the motion."""
+    for c in range(len(case.outputs)):
+        columns = [t.output[:, c] for t in case.trajectories]
+        skipped = np.concatenate([x[1:-1] - 0.5 * (x[:-2] + x[2:]) for x in columns])
+        if skipped.std() > SMOOTH * np.concatenate(columns).std():
+            return False
+    return True
+
+
+def _again(base: Base, searched: Searched, decision: Decision, variant: Variant, run: Run) -> Decision:
+    """Return the decision by the leading models, fitted to a variant."""
+    contest = _contest(base.contest, variant, searched.fitted.base.fit.batch)
+    chosen = _leading(searched.fitted, decision)
+    batch = _within(contest, Batch.joined([m.fit.batch for m in chosen]), variant.recordings)
+    fits = fit(contest, batch, STEPS)
+    models = [Model(m.members, fits.one(s), True) for s, m in enumerate(chosen)]
+    fitted = FittedModels(contest, models[0], models[1:])
+    contest.overdispersion = fitted.overdispersion
+    other = Base(contest, fits.one(0), Noise(contest.sigma.cpu().numpy()), None)
+    p_value = searched.p_value
+    if decision.verdict == "none":  # a name must be beyond doubt to undo that: there are several treatments
+        p_value = min(1.0, bootstrap_test(other, Run(run.settings)).p_value * UNDO)
+    return decide(other, Searched(fitted, p_value), run.settings)
+
+
+def _contest(first: Contest, variant: Variant, base: Batch) -> Contest:
+    """Return the contest of a variant, with its noise where the filter makes it another one."""
+    case = variant.case
+    every = [thinned(case, r) for r in recordings_of(case)]
+    sigma = pooled_sigma(case, noise_of(case)) if fits_torque(case) else first.sigma.cpu().numpy()
+    contest = Contest(case, [every[j] for j in variant.recordings], sigma, first.names, device=first.device)
+    if fits_torque(case):
+        base = _within(contest, base, variant.recordings)
+        contest.set_noise(np.hypot(sigma, motion_noise(case, contest.unknowns, contest.values(base)[0])))
+    return contest
+
+
+def _within(contest: Contest, batch: Batch, recordings: tuple[int, ...]) -> Batch:
+    """Return a batch for some of its recordings, inside the boxes of another contest."""
+    chosen = list(recordings)
+    free = batch.free.clamp(contest.low, contest.high)
+    return Batch(free, batch.active, batch.start[:, chosen], torch.ones_like(batch.weight[:, chosen]))
+
+
+def _leading(fitted: FittedModels, decision: Decision) -> list[Model]:
+    """Return the base, the preferred model, its parts, and the best others."""
+    own = set(decision.model.members)
+    ranked = sorted(fitted.models, key=fitted.criterion)
+    parts = [m for m in ranked if set(m.members) <= own]
+    ahead = {m.members: m for m in reversed([*parts, *ranked[:LEADING]])}
+    return [fitted.base, *ahead.values()]

@@ -1,0 +1,43 @@
+"""``bough hide --hard`` and ``bough exam --hard`` from the outside."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+SMALL = ("--segments", 1, "--samples", 60)
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def test_hard_case_is_written(bough):
+    """Write a case that is harder in two ways, and say in the answer in which, and which form its law has."""
+    options = ("--effects", "dry_friction", "--hard", "geometry", "probes", "--rate", 50, *SMALL, "--seed", 3)
+    done = bough("hide", *options, "--out", "case")
+    assert done.code == 0 and done.out.startswith("dry_friction, "), done.err
+    answer = json.loads(Path("case_answer.json").read_text())
+    assert answer["hard"] == ["geometry", "probes"] and answer["effects"][0]["form"] == "plain"
+    meta = yaml.safe_load(Path("case/meta.yaml").read_text())
+    assert {r["profile"] for r in meta["trajectories"]} >= {"circle", "chirp"} and meta["sample_rate_hz"] == 50.0
+
+
+@pytest.mark.parametrize("options", [("--hard", "wood"), ("--outside", "dropouts")])
+def test_what_cannot_be_hidden_is_refused(bough, options):
+    """Refuse a kind that there is not, and an effect that is held back; write nothing."""
+    done = bough("hide", *options, *SMALL, "--out", "case")
+    assert done.code == 2 and not list(Path().iterdir())
+
+
+def test_hard_exam_is_held(bough):
+    """Hold one case of a hard exam; its first case hides nothing, so that nothing that is held back is opened."""
+    for option in ("--hard", "--held-back"):
+        done = bough("exam", option, "--cases", 1, "--seed", 57, "--jobs", 1, "--out", option[2:])
+        assert done.code == 0 and "false alarm on null" in done.out, done.err
+        assert ("opens the forms that are held back" in done.err) == (option == "--held-back")
+        (line,) = Path(option[2:], "results.jsonl").read_text().splitlines()
+        result = json.loads(line)
+        assert result["truth"]["null"] and result["truth"]["measurement_gap"] > 0.0

@@ -1,0 +1,155 @@
+"""The repaired model: what is written, replayed by ``bough simulate``, has the gap that the diagnosis claims."""
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from bough.cli.main import main
+from bough.learn.cases.case import BranchCase, load_case
+from bough.learn.cases.noise import estimate_noise
+from bough.learn.gap.consistent import stand_in
+from bough.learn.gap.decide import Decision
+from bough.learn.gap.diagnosis import Interval, Settings
+from bough.learn.gap.models.at_rest import Noise
+from bough.learn.gap.models.contest import Contest, activated
+from bough.learn.gap.models.fitted import Model
+from bough.learn.gap.models.refit import fit
+from bough.learn.gap.posterior import at_bound
+from bough.learn.gap.prepare import Base
+from bough.learn.gap.repaired import implausible, off_in, repair
+from bough.learn.gap.run import Run
+from bough.learn.inference.replayed import replay_model
+from bough.learn.replay.recording import recordings
+from bough.learn.runs.threads import one_thread
+from bough.learn.systems.model_file import model_of, write_model
+from bough.learn.systems.system import Parameter
+from bough.sim.effects import effect_of
+from oracles.branch_case import make_branch_case
+from oracles.oscillator import write_case
+
+FEW = ("dry_friction", "force_scale", "force_bias", "anisotropic_stiffness")
+
+
+def decided(case, sigma, names, chosen, verdict):
+    """Return base and decision of a case as a search would leave them, with the effects ``chosen`` in the model."""
+    contest = Contest(case, recordings(case), sigma, names)
+    base = fit(contest, contest.base_batch(1), 8)
+    members = tuple(next(k for k, c in enumerate(contest.candidates) if c.name == name) for name in chosen)
+    begun = activated(contest, base.batch, [members])
+    for c in members:
+        for column in contest.candidates[c].columns:
+            begun.free[0, column] = 0.5 * (contest.low[column] + contest.high[column])
+    with_effects = Model(members, fit(contest, begun, 4), True) if members else Model((), base)
+    plain = Model((), base)
+    named = tuple(contest.candidates[c].acting for c in members) if verdict == "effects" else ()
+    return Base(contest, base, Noise(sigma), None), Decision(verdict, plain, with_effects, with_effects, named)
+
+
+def branch(folder):
+    """Return a branch of one segment with four recordings, and the noise of its channels."""
+    make_branch_case(folder, 4, segments=1, samples=50, dt=1e-3)
+    case = load_case(folder)
+    noise = estimate_noise(case)
+    return case, np.concatenate([noise.displacement, noise.velocity])
+
+
+def swings(folder):
+    """Return a hinge that swings freely in four recordings, and the noise of its angle."""
+    case = load_case(write_case(folder, [(0.5, 0.0), (-0.3, 1.0), (0.2, -2.0), (0.4, 1.0)], noise=0.004))
+    return case, estimate_noise(case).sigma
+
+
+@pytest.mark.parametrize(
+    ("make", "chosen", "verdict", "particles"),
+    [
+        (branch, ("dry_friction",), "effects", 16),
+        (branch, ("force_scale", "dry_friction"), "effects", 0),
+        (branch, (), "none", 0),
+        (branch, ("dry_friction",), "unknown", 0),
+        (swings, ("dry_friction",), "effects", 16),
+        (swings, (), "none", 0),
+    ],
+)
+def test_the_written_model_has_the_gap_that_is_claimed(tmp_path, capsys, make, chosen, verdict, particles):
+    """Print by ``simulate --model`` the very RMSE of the diagnosis; values, medians and particles are its numbers."""
+    case, sigma = make(tmp_path / "case")
+    names = FEW if make is branch else ("dry_friction",)
+    with one_thread():
+        base, decision = decided(case, sigma, names, chosen, verdict)
+        found = repair(base, decision, Run(Settings(particles=particles)))
+    path = tmp_path / "model.yaml"
+    write_model(path, found.model)
+    assert main(["simulate", str(tmp_path / "case"), "--model", str(path), "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr()
+    printed = re.search(r"held-out RMSE (\S+) (\S+) \(", told.out)
+    assert printed is not None and printed[1] == f"{found.gap.repaired:.3g}" and printed[2] == found.gap.unit
+    assert ("does not claim" in told.err) == (verdict == "unknown")
+    again = model_of(path, case)
+    assert [a.name for a in again.effects] == sorted(chosen, key=lambda n: [a.name for a in again.effects].index(n))
+    alone, beside = replay_model(case, again), replay_model(case, again, off_in(base.contest, again))
+    np.testing.assert_array_equal(alone.output, beside.output)  # a kernel with more laws gives the same bits
+    assert alone.rms == found.gap.repaired
+    for a in again.effects:
+        for name, value in a.known.items():
+            assert value == found.values[f"{a.label} {name}"]
+            if verdict == "effects":
+                own = found.parameters[a.label][name]
+                assert own.median == value and own.low <= value <= own.high and own.low < own.high
+    if found.posterior is not None:
+        assert dict(zip(found.posterior.names, found.posterior.interval()[0].tolist(), strict=True)) == found.values
+
+
+def test_what_is_held_out_is_not_fitted_to(tmp_path):
+    """Leave the repaired model alone where only a held-out recording changes, and claim another gap."""
+    gaps, values = [], []
+    for k in range(2):
+        case, sigma = swings(tmp_path / f"case_{k}")
+        if k:
+            held = case.trajectories[-1].output
+            held[:] = held[::-1].copy()  # swings that grow
+        with one_thread():
+            base, decision = decided(case, sigma, ("dry_friction",), (), "none")
+            found = repair(base, decision, Run(Settings(particles=0)))
+        gaps.append(found.gap.repaired)
+        values.append(list(found.values.values()))
+    np.testing.assert_allclose(values[0], values[1], rtol=1e-3)  # fits end where a step gains less than 1e-4
+    assert gaps[1] > 2.0 * gaps[0]
+
+
+def test_a_parameter_at_its_bound_is_called_so():
+    """Say low or high of a share whose fit is at an end and whose interval is near it; nothing of one not known."""
+    share = Parameter("share", "1", 0.0, 1.0, None, "linear")
+    assert at_bound(share, 0.5, (0.5, 0.4, 0.6)) is None
+    assert at_bound(share, 1.0, (0.93, 0.8, 0.99)) == "high"
+    assert at_bound(share, 0.0, (0.3, 0.01, 0.9)) is None
+    assert at_bound(share, 0.3, (0.005, 0.001, 0.3)) == "low"
+    torque = Parameter("torque", "N m", 1e-3, 1.0)
+    assert at_bound(torque, np.log(0.9), (0.99, 0.9, 1.1)) == "high"
+
+
+@pytest.mark.parametrize(("low", "high", "told"), [(700.0, 800.0, True), (0.4, 0.9, False), (5.0, 800.0, False)])
+def test_a_value_that_nature_does_not_have_is_told(low, high, told):
+    """Tell drag a thousand times that of air, not air's, and not where the interval leaves room for air's."""
+    acting = SimpleNamespace(name="quadratic_drag", label="quadratic_drag")
+    own = {s.name: Interval(0.5, 0.0, 1.0, s.unit) for s in effect_of("quadratic_drag").law("branch").parameters}
+    own["coefficient_kgpm3"] = Interval(0.5 * (low + high), low, high, "kg/m^3")
+    contest = SimpleNamespace(case=object.__new__(BranchCase))
+    found = implausible(contest, SimpleNamespace(named=(acting,)), {"quadratic_drag": own})
+    assert bool(found) is told
+    assert ("stand-in" in " ".join(stand_in(found))) is told
+
+
+def test_deviations_follow_the_noise(tmp_path):
+    """Give the hinge's friction a standard deviation that grows with the noise, by curvature alone."""
+    widths = []
+    for noise in (0.002, 0.02):
+        folder = write_case(tmp_path / str(noise), [(0.5, 0.0), (-0.3, 1.0), (0.2, -2.0)], noise=noise)
+        case = load_case(folder)
+        with one_thread():
+            base, decision = decided(case, estimate_noise(case).sigma, ("dry_friction",), ("dry_friction",), "effects")
+            found = repair(base, decision, Run(Settings(particles=0)))
+        own = found.parameters["dry_friction@0"]["torque_Nm"]
+        widths.append(own.high - own.low)
+    assert widths[1] > 2.0 * widths[0] and torch.isfinite(torch.tensor(widths)).all()
