@@ -18,7 +18,7 @@ from ..inference.identify import pooled_sigma
 from ..replay.choice import roughness
 from ..replay.equation_error import fits_torque, noise_of, recordings_of, thinned
 from ..replay.motion_noise import motion_noise
-from .decide import Decision, alternatives, decide, known, leading
+from .decide import EXPLAINED, Decision, alternatives, decide, leading
 from .evidence import bootstrap_test
 from .models.at_rest import Noise
 from .models.contest import Batch, Contest
@@ -64,11 +64,12 @@ def steadied(base: Base, searched: Searched, decision: Decision, run: Run) -> De
         return decision
     kept, changes = decision.model.members if decision.verdict == "effects" else (), []
     for variant in variants(case):
-        again = _again(base, searched, decision, variant, run)
-        names = {a.name for a in again.named} | {n for rivals in again.alternatives.values() for n in rivals}
-        lost = [c for c in kept if again.verdict != "none" and _name(searched, c) not in names]
+        again, fitted = _again(base, searched, decision, variant, run)
+        names = fitted.names(again.model)  # the leading ones, though they may explain too little to be claimed
+        alike = {n for rivals in alternatives(fitted, again.model).values() for n in rivals}
+        lost = [c for c in kept if again.verdict != "none" and _name(searched, c) not in {*names, *alike}]
         if lost or (again.verdict == "effects" and not decision.named):
-            changes.append(f"{variant.what} gives {_called(again)}")
+            changes.append(f"{variant.what} gives {' and '.join(names)}")
         kept = tuple(c for c in kept if c not in lost)
     return decision if not changes else _reduced(searched, decision, kept, tuple(changes))
 
@@ -77,15 +78,14 @@ def _name(searched: Searched, candidate: int) -> str:
     return searched.fitted.contest.candidates[candidate].name
 
 
-def _called(decision: Decision) -> str:
-    return " and ".join(a.name for a in decision.named) or "none of these"
-
-
 def _reduced(searched: Searched, decision: Decision, kept: tuple[int, ...], changes: tuple[str, ...]) -> Decision:
-    """Return the decision for the effects that are kept, with the model that has them alone."""
+    """Return the decision for the effects that are kept, with the model that has them alone.
+
+    What is left of an unstable verdict must explain as much as the effects of a branch to be claimed.
+    """
     fitted = searched.fitted
     alone = [m for m in fitted.of_size(len(kept)) if set(m.members) == set(kept)] if kept else []
-    if not alone or not known(fitted, alone[0]):
+    if not alone or fitted.explained(alone[0]) < EXPLAINED:
         nearest = fitted.contest.candidates[leading(fitted, decision.model)].name if decision.model.members else None
         return replace(decision, verdict="unknown", named=(), alternatives={}, nearest=nearest,
                        final=decision.model, unstable=changes)  # fmt: skip
@@ -109,9 +109,9 @@ def variants(case: JointCase) -> Iterator[Variant]:
         for part in (every[::2], every[1::2]):
             numbers = ", ".join(str(k + 1) for k in part)
             yield Variant(f"recording{'s' if len(part) > 1 else ''} {numbers} alone", case, part)
-    else:
+    elif fits_torque(case):  # half of a replay may hold one way of a loop alone
         half = replace(case, trajectories=(_beginning(case.trajectories[0]),))
-        if not fits_torque(case) or _usable(half):
+        if _usable(half):
             yield Variant("the first half of the recording", half, every)
 
 
@@ -151,8 +151,10 @@ def _smooth(case: JointCase) -> bool:
     return True
 
 
-def _again(base: Base, searched: Searched, decision: Decision, variant: Variant, run: Run) -> Decision:
-    """Return the decision by the leading models, fitted to a variant."""
+def _again(
+    base: Base, searched: Searched, decision: Decision, variant: Variant, run: Run
+) -> tuple[Decision, FittedModels]:
+    """Return the decision by the leading models, fitted to a variant, and these models."""
     contest = _contest(base.contest, variant, searched.fitted.base.fit.batch)
     chosen = _leading(searched.fitted, decision)
     batch = _within(contest, Batch.joined([m.fit.batch for m in chosen]), variant.recordings)
@@ -164,7 +166,7 @@ def _again(base: Base, searched: Searched, decision: Decision, variant: Variant,
     p_value = searched.p_value
     if decision.verdict == "none":  # a name must be beyond doubt to undo that: there are several treatments
         p_value = min(1.0, bootstrap_test(other, Run(run.settings)).p_value * UNDO)
-    return decide(other, Searched(fitted, p_value), run.settings)
+    return decide(other, Searched(fitted, p_value), run.settings), fitted
 
 
 def _contest(first: Contest, variant: Variant, base: Batch) -> Contest:
