@@ -6,8 +6,8 @@ exp(-|x - y|^2 / (2 sigma^2)) with sigma the median of the distances of pairs (2
 followed by Adam with a step of 3.0 (3.5.1, table A.1) for as many iterations as tables A.1 and A.2 say.
 The inequality prior is eq. 3.17 in N m/rad, learnt by the one-hidden-layer network.
 
-What the thesis leaves open is chosen here: the box's sigma (0.01, GPyTorch's own, with its Normal tails), eta, and
-Adam's other numbers (torch's).
+What the thesis leaves open is chosen here: eta, Adam's other numbers (torch's), and the box's sigma, with the Normal
+tails of GPyTorch's code. That sigma decides whether the letter's algorithm moves at all, see `BOX_SIGMA`.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ from .robust import GRASP_NOISE, STAND_IN_NOISE, STAND_INS, TESTED_AT, TRAINED_A
 
 STEP, SPACING = 3.0, 0.5
 """Adam's step and the finite-difference spacing (table A.1) [N m/rad, N m s/rad]."""
-BOX_SIGMA = 0.01
-"""Deviation of the smoothed box's tails: what GPyTorch takes unless told otherwise."""
+BOX_SIGMA = 1.0
+"""Deviation of the smoothed box's tails [N m/rad]. With GPyTorch's default, 0.01, one particle that Adam's first step
+puts 3 outside has a gradient of 30,000; the kernel hands a share of it to all others, and it stays in Adam's second
+moment for a thousand iterations, in which nothing moves any more."""
 LEAST = 0.05
 """Springs and dampers are simulated as at least this: a particle outside the box may be below zero."""
 SEEDS = 5

@@ -242,7 +242,7 @@ def test_letter_gradient_is_of_springs_not_logarithms(bench):
         step[i] = 0.5
         ends = [target.log_likelihood(target.predict((x + s * step).log()), torch.zeros(2, 0)) for s in (1, -1)]
         wanted = ends[0] - ends[1]
-        wanted[1] -= (10.0 / 0.01**2) if i == 0 else 0.0
+        wanted[1] -= (10.0 / literal.BOX_SIGMA**2) if i == 0 else 0.0
         # one part in 1e3: worlds are packed into other lanes, and losses are single precision
         torch.testing.assert_close(found[:, i], wanted, rtol=1e-3, atol=1e-2)
 
