@@ -2,7 +2,6 @@
 
 import math
 from itertools import combinations
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,11 +9,10 @@ import torch
 from bough.learn.cases.case import load_case
 from bough.learn.cases.noise import estimate_noise
 from bough.learn.gap import prepare as preparing
-from bough.learn.gap.decide import decide, pays
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.certain import covariance, uncertain
-from bough.learn.gap.models.contest import Batch, Contest, activated
+from bough.learn.gap.models.contest import Contest, activated
 from bough.learn.gap.models.fitted import FittedModels, Model
 from bough.learn.gap.models.nested import close, fitted_again, from_contained, rebased, switches
 from bough.learn.gap.models.refit import evaluated, fit
@@ -58,8 +56,7 @@ def generate(contest, generator):
 
 
 def planted(contest, generator):
-    """Return models that all sit in false minima: random springs, dampers to thousands of times the typical, effects
-    anywhere in their boxes; singles and pairs, some of them fitted for two steps."""
+    """Return models in false minima: parameters anywhere in their boxes, half of the time fitted for two steps."""
     singles = [(c,) for c in range(len(contest.candidates))]
     pairs = [
         tuple(p) for p in generator.permutation(list(combinations(range(len(contest.candidates)), 2)))[:2].tolist()
