@@ -43,7 +43,7 @@ LONG = {
     "learn/gap/test_gap_joints.py::test_a_magnet_under_a_pendulum_is_not_nothing": _SEARCH,
     "learn/gap/test_gap_joints.py::test_an_oscillator_whose_rate_alone_is_measured_stiffens": _SEARCH,
     "learn/gap/test_gap_joints.py::test_wind_that_sways_a_tree_before_the_pull_is_noise": _SEARCH,
-    "learn/gap/test_gap_nested.py::test_no_model_is_worse_than_one_nested_in_it_in_hundreds": "300 generated cases (minutes)",
+    "learn/gap/test_gap_nested.py::test_no_model_is_worse_than_one_nested_in_it_in_hundreds": "300 cases, minutes",
     "learn/gap/test_gap_real.py::test_silverbox_stiffens": _REAL,
     "learn/gap/test_gap_real.py::test_trees_yield_or_have_hysteresis[5]": _REAL,
     "learn/gap/test_gap_real.py::test_trees_yield_or_have_hysteresis[6]": _REAL,

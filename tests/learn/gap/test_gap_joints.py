@@ -10,7 +10,7 @@ from bough.learn.gap.models.at_rest import Noise
 from bough.learn.gap.report import content
 from bough.learn.gap.run import Run
 from bough.learn.runs.threads import one_thread
-from bough.learn.systems.acting import integral
+from bough.learn.systems.acting import integral, joint_settings
 from scipy.integrate import solve_ivp
 
 
@@ -93,6 +93,26 @@ def test_a_magnet_under_a_pendulum_is_not_nothing(tmp_path):
                             lambda q, v, u: -14 * np.sin(q) - 0.05 * v + 2 * q * np.exp(-((q / 0.15) ** 2)),
                             [(0.7, 0.0), (1.05, 0.0), (0.44, 0.0)], joint, duration=15.0, noise=1e-3))  # fmt: skip
     assert found.verdict == "unknown" and found.effects == (), found.sentence
+
+
+@pytest.mark.parametrize("zero", [0.0, np.pi, 100.0])
+def test_the_zero_of_an_encoder_changes_no_verdict(tmp_path, zero):
+    """Call unknown what leaves 1 % of the swing, also where an encoder counts from pi or from 100 rad.
+
+    Relative to the rms about zero it is 0.005 % at 100 rad, which was called none.
+    """
+    joint = {"type": "revolute", "inertia": 1.0, "stiffness": 0.0, "damping": None,
+             "gravity_torque": {"amplitude": None, "zero_angle": float(zero)}}  # fmt: skip
+    folder = write(tmp_path / "magnet", lambda q, v, u: -14 * np.sin(q) - 0.05 * v + 6 * q * np.exp(-((q / 0.15) ** 2)),
+                   [(0.7, 0.0), (1.05, 0.0), (0.44, 0.0)], joint, duration=5.0, noise=1e-3,
+                   sway=lambda t: zero)  # fmt: skip
+    with one_thread():
+        case, run = load_case(folder), Run(Settings(particles=0, effects=("dry_friction", "quadratic_drag")))
+        found = find_missing(case, run)
+    assert found.verdict == "unknown" and found.effects == (), found.sentence
+    assert 700 < found.motion < 1500  # noise is a thousandth of each swing; 260,000 about the zero at 100 rad
+    angle = joint_settings(case, [1.0])[0].angle
+    assert angle == pytest.approx(1.05, rel=0.01)
 
 
 @pytest.mark.parametrize("cubic, verdict", [(7e8, "effects"), (0.0, "none")])

@@ -56,9 +56,7 @@ def generate(contest, generator):
 
 
 def planted(contest, generator):
-    """Return models that all sit in false minima: random springs, dampers to thousands of times the typical, effects
-    anywhere in their boxes; singles and pairs, some of them fitted for two steps.
-    """
+    """Return models in false minima: parameters anywhere in their boxes, half of the time fitted for two steps."""
     singles = [(c,) for c in range(len(contest.candidates))]
     pairs = [
         tuple(p) for p in generator.permutation(list(combinations(range(len(contest.candidates)), 2)))[:2].tolist()
