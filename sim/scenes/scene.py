@@ -131,7 +131,7 @@ class SceneSettings:
     depth: Range = (0.02, 0.10)
     reach: Range = (0.30, 0.75)
     near: float = 0.10
-    pairs: Range = (150.0, 600.0)
+    pairs: Range = (150.0, 450.0)
     branches: int = 3
     feasible: bool = True
     points: int = 512

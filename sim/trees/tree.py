@@ -157,7 +157,7 @@ class Tree:
         """Yield what must hold of every link: whether it does [L], what is found where not, what is allowed, values."""
         n = self.num_links
         before = np.logical_and(self.parent >= -1, self.parent < np.arange(n))
-        yield np.asarray(before), "parent index", "-1 (world) or a link before it", self.parent
+        yield before, "parent index", "-1 (world) or a link before it", self.parent
         for item in fields(self):
             value = getattr(self, item.name)
             if isinstance(value, np.ndarray) and value.dtype == np.float64 and not item.name.startswith("shape_"):
