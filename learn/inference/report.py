@@ -77,6 +77,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             f"{name}_{unit}": x.tolist() for name, x in zip(("amplitude", "misfit"), p.by_amplitude(), strict=True)
         },
         "starts_that_agree": outcome.posterior.agreement,
+        "widened_for_correlated_residuals": outcome.posterior.widened,
         "converged": outcome.posterior.convergence.converged,
         "convergence": outcome.posterior.convergence.reason,
         "diagnostics": outcome.posterior.convergence.numbers,
