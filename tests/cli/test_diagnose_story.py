@@ -54,7 +54,7 @@ def test_hidden_effect_is_found_and_shown(diagnosed):
 
 
 def test_repaired_model_has_the_gap_that_is_claimed(bough, hidden, diagnosed):
-    """Print by simulate the held-out RMSE of the verdict, and find it in what it writes; one set of numbers everywhere."""
+    """Print by simulate the held-out RMSE of the verdict, and find it in what it writes; one set of numbers."""
     out, _ = diagnosed
     done = bough("simulate", hidden, "--model", out / "model.yaml", "--out", "motion")
     assert done.code == 0, done.err
