@@ -32,13 +32,15 @@ class Simulate:
     """Simulate the tree of an MJCF or URDF file, or a case's branch under its recorded forces.
 
     Writes trajectory.npz (time [T], body_name [B], body_pos [T, W, B, 3], body_quat [T, W, B, 4]; the first time is the
-    start) and trajectory.png.
+    start) and trajectory.png. Of a case of joints, which needs --model, it holds channel [C], simulated and measured
+    [T, R, C]. With --model the RMSE in the recordings that it was not fitted to is printed.
 
     Attributes:
         source: MJCF file (.xml), URDF file (.urdf) or case folder. A case's branch has nominal springs, those of beams
             of green wood, and one world per recording.
         out: Folder to write to.
-        model: model.yaml with the springs, dampers and effects of a case's branch, instead of nominal springs.
+        model: model.yaml with the springs, dampers and effects of a case's branch, instead of nominal springs, or of
+            its joints. It is replayed as bough diagnose does, at the case's time step.
         seconds: Simulated time; 2 s for a file, the length of the recordings for a case.
         dt: Step [s]; there are round(seconds / dt) of them.
         substeps: Substeps per step.

@@ -237,6 +237,11 @@ def _details(d: Diagnosis) -> dict[str, object]:
         "tolerance": f"{d.settings.tolerance:g} of the motion's rms",
         "most effects together": d.settings.max_effects,
         "seed": d.settings.seed,
+        **(
+            {}
+            if d.posterior is None
+            else {"widened for correlated residuals": f"{d.posterior.widened:.2g} times at most"}
+        ),
         "wall time [s]": ", ".join(f"{k} {v:.1f}" for k, v in d.seconds.items()),
         "simulated world-steps": f"{d.world_steps:,}",
         "bough": __version__,

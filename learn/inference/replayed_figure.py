@@ -36,7 +36,7 @@ def replayed_figure(case: JointCase, seen: Replayed, named: str) -> Figure:
         for j, (ax, r) in enumerate(zip(axes, drawn, strict=True)):
             for c, color in zip(channels, COLORS, strict=False):
                 o = case.channels[c]
-                ax.plot(r.t, r.output[:, c], ".", color=color, markersize=1.5)
+                ax.plot(r.t, r.output[:, c], ".", color=color, alpha=0.25, markersize=6)
                 ax.plot(r.t, seen.output[j, : len(r.t), c], color=color, linewidth=1.0, label=f"{o.quantity} {o.joint}")
             held = "held out" if j in seen.test else "fitted to"
             ax.set_title(f"{case.trajectories[j].file}, {held}")

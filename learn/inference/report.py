@@ -78,6 +78,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         },
         "starts_that_agree": outcome.posterior.agreement,
         "caveat": caveat(outcome),
+        "widened_for_correlated_residuals": outcome.posterior.widened,
         "converged": outcome.posterior.convergence.converged,
         "convergence": outcome.posterior.convergence.reason,
         "diagnostics": outcome.posterior.convergence.numbers,

@@ -33,7 +33,7 @@ from pydantic import Field
 from ...sim.base.strict_yaml import Positive, Strict, YamlFile, nearest, validated
 from ...sim.base.types import Array
 from ...sim.effects import effect_of
-from ...sim.wood.branch_file import EffectModel, check_effects
+from ...sim.wood.branch_file import EffectModel, check_effects, check_format
 from ..cases.case import JointCase
 from .acting import Acting, unit_at
 from .choose import system_of
@@ -132,6 +132,7 @@ def joint_model_of(path: str | Path, case: JointCase) -> JointModel:
             or acts where it cannot.
     """
     file = YamlFile(Path(path), FORMAT)
+    check_format(file, FORMAT, "the model of joints")
     meta = validated(file, JointFile)
     joints = tuple((j.name, j.type) for j in meta.joints)
     own = tuple((j.name, j.type) for j in case.joints)

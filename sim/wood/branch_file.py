@@ -88,11 +88,19 @@ def read_branch_file(path: str | Path) -> BranchFile:
             leaves out one of its parameters that is not optional.
     """
     file = YamlFile(Path(path), FORMAT)
+    check_format(file, FORMAT, "the model of a branch")
     meta = validated(file, BranchFile)
     for i in range(len(meta.segments)):
         _check_segment(file, meta.segments, i)
     check_effects(file, meta.effects, "branch", len(meta.segments))
     return meta
+
+
+def check_format(file: YamlFile, wanted: str, what: str) -> None:
+    """Raise `InputError` for a file that says to be of another format, before its keys are read by this one."""
+    found = file.content.get("format")
+    if isinstance(found, str) and found != wanted:
+        raise file.error(["format"], found, f"{wanted}, {what}")
 
 
 def _check_segment(file: YamlFile, segments: Sequence[SegmentModel], i: int) -> None:
