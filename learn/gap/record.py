@@ -28,7 +28,7 @@ def record(
         base_reduced_chi2=fitted.reduced_chi2(fitted.base), motion=base.motion, p_null=searched.p_value,
         base_output=outputs[0], best_output=outputs[1], base_values=fitted.values(fitted.base),
         best_values=fitted.values(decision.final), next_experiment=next_experiment, posterior=posterior,
-        world_steps=contest.world_steps, seconds=run.seconds,
+        world_steps=run.keep.earlier + contest.world_steps, seconds=run.seconds,
     )  # fmt: skip
 
 
