@@ -16,6 +16,7 @@ from ..runs.folder import CONFIG, RunFolder, replace_text
 from ..runs.threads import one_thread
 from ..tasks.registry import TaskRegistry, settings_from
 from ..tasks.task import METRICS, Task, unseen_seed
+from .crowding import contacts_without_room
 from .ppo_settings import PPOSettings
 from .train_report import at_the_end
 
@@ -28,6 +29,8 @@ Metrics = dict[str, torch.Tensor]
 JSON, TABLE = "evaluation.json", "evaluation.md"
 COLUMNS = ("Test Rew", "Test SR %", "Occ Drop %", "Touch %", "Steps in Succ")
 """What is measured on every test set, as table 5.2 calls it; it has Train Rew and Trials before."""
+ROOM = "No room"
+"""Contacts that found no room in a world's buffer, so that nothing held the branches apart; 0 where all is well."""
 
 
 @dataclass(frozen=True)
@@ -147,12 +150,14 @@ class Row:
         train_return: Return at the end of training, NaN for a policy that was not trained.
         trials: Episodes.
         sets: `COLUMNS` of every set.
+        without_room: Contacts that found no room in all of them, of which no force came.
     """
 
     policy: str
     train_return: float
     trials: int
     sets: Sequence[Mapping[str, float]]
+    without_room: int = 0
 
     def mean(self, column: str) -> float:
         """Return the mean over the sets that have a value."""
@@ -197,6 +202,7 @@ def evaluate(
     folder = RunFolder(path)
     trained = read_policy(folder, registry)
     found: dict[str, list[dict[str, float]]] = {name: [] for name in ("trained", *baselines)}
+    crowded = dict.fromkeys(found, 0)
     for index in range(sets):
         test_seed = unseen_seed(seed, index)
         task = registry.make(trained.name, trained.settings, num_envs=worlds, seed=test_seed, device=device, test=True)
@@ -204,11 +210,14 @@ def evaluate(
         for name, results in found.items():
             task.restore(start)
             policy = zero(task) if name == "zero" else random(task, test_seed) if name == "random" else trained.on(task)
+            before = contacts_without_room(task)
             with one_thread():
                 results.append(columns(first_episodes(task, policy)))
+            crowded[name] += contacts_without_room(task) - before
             progress(1)
     end = at_the_end(folder.metrics(), "return")
-    rows = [Row(n, end if n == "trained" else math.nan, sets * worlds, results) for n, results in found.items()]
+    ends = {name: end if name == "trained" else math.nan for name in found}
+    rows = [Row(name, ends[name], sets * worlds, results, crowded[name]) for name, results in found.items()]
     _write(folder, trained, rows, sets=sets, worlds=worlds, seed=seed, device=device)
     return rows
 
@@ -228,14 +237,15 @@ def _plain(row: Row) -> dict[str, Any]:
         c: {"mean": known(row.mean(c)), "spread": known(row.spread(c)), "sets": [known(s[c]) for s in row.sets]}
         for c in COLUMNS
     }
-    return {"policy": row.policy, "Train Rew": known(row.train_return), "Trials": row.trials, **measured}
+    return {"policy": row.policy, "Train Rew": known(row.train_return), "Trials": row.trials, **measured,
+            ROOM: row.without_room}  # fmt: skip
 
 
 def table(rows: Sequence[Row]) -> str:
     """Return the rows as a table in Markdown: mean and standard deviation over the test sets."""
-    head = ("policy", "Train Rew", "Trials", *COLUMNS)
-    body = [(r.policy, _cell(r.train_return), str(r.trials), *(_cell(r.mean(c), r.spread(c)) for c in COLUMNS))
-            for r in rows]  # fmt: skip
+    head = ("policy", "Train Rew", "Trials", *COLUMNS, ROOM)
+    body = [(r.policy, _cell(r.train_return), str(r.trials), *(_cell(r.mean(c), r.spread(c)) for c in COLUMNS),
+             str(r.without_room)) for r in rows]  # fmt: skip
     widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
 
     def line(cells: Sequence[str]) -> str:
