@@ -62,6 +62,7 @@ class Play:
         return self._watch(registry) if self.out is None else self._film(registry, self.out)
 
     def _film(self, registry: TaskRegistry, out: Path) -> int:
+        from ..learn.policies.crowding import contacts_without_room
         from ..learn.policies.play import Episode, write_film
         from ..learn.runs.threads import one_thread
 
@@ -71,7 +72,8 @@ class Play:
             episode = Episode(task, policy, steps=self._steps(task), every=every, progress=advance)
             name = write_film(work, episode, self.film, 1.0 / (every * task.step_seconds))
         seconds = episode.done * task.step_seconds
-        print(f"{task.name}, {self.policy}: {seconds:.1f} s, {_outcome(episode.metrics)}, {episode.pictures} pictures. "
+        outcome = _outcome(episode.metrics) + _crowded(contacts_without_room(task))
+        print(f"{task.name}, {self.policy}: {seconds:.1f} s, {outcome}, {episode.pictures} pictures. "
               f"Wrote {shown(out / name)}")  # fmt: skip
         return ExitCode.DONE
 
@@ -132,3 +134,7 @@ def _outcome(metrics: dict[str, float] | None) -> str:
         return "stopped before the end of the episode"
     won = "cleared" if metrics["success"] > 0 else "not cleared"
     return f"{won}, occlusion drop {100 * metrics['occlusion_drop']:.0f} %"
+
+
+def _crowded(contacts: int) -> str:
+    return f", {contacts} contacts without room" if contacts else ""

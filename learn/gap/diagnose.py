@@ -38,6 +38,7 @@ def find_missing(case: BranchCase | JointCase, run: Run) -> Diagnosis:
     check(case, run.settings)
     with run.timed("total"):
         base = prepare(case, run)  # noise, fit of the base model, and whether the case can say anything
+        run.keep.count = lambda: base.contest.world_steps
         searched = nothing_searched(base) if base.unusable else restored(base, run)
         if searched is None:
             evidence = bootstrap_test(base, run)  # a scan of all candidates, and the p-value of the best

@@ -34,7 +34,7 @@ def record(
         base_output=repaired.base_output, best_output=repaired.output, base_values=repaired.base_values,
         best_values=repaired.values, next_experiment=next_experiment, model=repaired.model,
         implausible=repaired.implausible, posterior=repaired.posterior,
-        world_steps=contest.world_steps, seconds=run.seconds, tried=fitted.labels(decision.final),
+        world_steps=run.keep.earlier + contest.world_steps, seconds=run.seconds, tried=fitted.labels(decision.final),
         size=0.0 if base.unusable else size(fitted, decision.model, base.motion), unusable=unusable,
         swing=swing_of(case, recordings, gap.test or range(len(recordings))),
         scatter=replicate_scatter(case, recordings), remarks=one_way(case, recordings, fitted.values(fitted.base)),

@@ -129,6 +129,7 @@ class Identification:
         self.prior = make_prior(settings.priors, system_of(case, settings.unknowns))
         self.recordings: list[Recording] = recordings_of(case)
         self.world_steps, self.simulating = 0, 0.0
+        self.keep.count = lambda: self.world_steps
         for j in range(len(self.recordings)):
             _check_moves(case, j, self.recordings[j])
 
@@ -140,6 +141,8 @@ class Identification:
             self.case, chosen, torch.as_tensor(self.sigma), unknowns=s.unknowns, prior=self.prior, loss=s.loss,
             temperature=s.temperature,
         )  # fmt: skip
+        before = self.world_steps
+        self.keep.count = lambda: before + target.world_steps
         posterior = infer(
             target, method=s.sampler, particles=s.particles, iterations=s.iterations, seed=s.seed,
             force_sigma=self.force_sigma, checkpoint=self.keep, name=name, progress=self.progress,
@@ -192,7 +195,16 @@ def run(
         "inference beside simulation": total - work.simulating - predicting,
     }  # fmt: skip
     return Outcome(
-        case, settings, work.noise, work.sigma, train, test, posterior, prediction, work.world_steps, seconds
+        case,
+        settings,
+        work.noise,
+        work.sigma,
+        train,
+        test,
+        posterior,
+        prediction,
+        work.keep.earlier + work.world_steps,
+        seconds,
     )
 
 

@@ -16,6 +16,8 @@ from ..runs.folder import CONFIG, RunFolder, replace_text
 from ..runs.threads import one_thread
 from ..tasks.registry import TaskRegistry, settings_from
 from ..tasks.task import METRICS, Task, Watch, unseen_seed
+from ..tasks.task import METRICS, Task, unseen_seed
+from .crowding import contacts_without_room
 from .ppo_settings import PPOSettings
 from .train_report import at_the_end
 
@@ -30,6 +32,8 @@ ALL_JSON, ALL_TABLE = "evaluation_all_scenes.json", "evaluation_all_scenes.md"
 """Files of a test in which no scene is left out."""
 COLUMNS = ("Test Rew", "Test SR %", "Occ Drop %", "Touch %", "Steps in Succ")
 """What is measured on every test set, as table 5.2 calls it; it has Train Rew and Trials before."""
+ROOM = "No room"
+"""Contacts that found no room in a world's buffer, so that nothing held the branches apart; 0 where all is well."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +156,7 @@ class Row:
         trials: Episodes.
         sets: `COLUMNS` of every set.
         overlaps: What passed through what (`Watch.rows`) in every set, by kind; empty for tasks that do not watch it.
+        without_room: Contacts that found no room in all of them, of which no force came.
     """
 
     policy: str
@@ -159,6 +164,7 @@ class Row:
     trials: int
     sets: Sequence[Mapping[str, float]]
     overlaps: Sequence[Mapping[str, Mapping[str, float]]] = ()
+    without_room: int = 0
 
     def mean(self, column: str) -> float:
         """Return the mean over the sets that have a value."""
@@ -215,6 +221,8 @@ def evaluate(
         trained = replace(trained, settings=registry.all_scenes(trained.settings))
     found: dict[str, list[Tested]] = {name: [] for name in ("trained", *baselines)}
     scenes: list[dict[str, float]] = []
+    found: dict[str, list[dict[str, float]]] = {name: [] for name in ("trained", *baselines)}
+    crowded = dict.fromkeys(found, 0)
     for index in range(sets):
         test_seed = unseen_seed(seed, index)
         task = registry.make(trained.name, trained.settings, num_envs=worlds, seed=test_seed, device=device, test=True)
@@ -229,6 +237,15 @@ def evaluate(
     rows = [_row(n, end if n == "trained" else math.nan, sets * worlds, results) for n, results in found.items()]
     how = {"sets": sets, "worlds": worlds, "seed": seed, "device": device}
     _write(folder, trained, rows, scenes, (ALL_JSON, ALL_TABLE) if all_scenes else (JSON, TABLE), **how)
+            before = contacts_without_room(task)
+            with one_thread():
+                results.append(columns(first_episodes(task, policy)))
+            crowded[name] += contacts_without_room(task) - before
+            progress(1)
+    end = at_the_end(folder.metrics(), "return")
+    ends = {name: end if name == "trained" else math.nan for name in found}
+    rows = [Row(name, ends[name], sets * worlds, results, crowded[name]) for name, results in found.items()]
+    _write(folder, trained, rows, sets=sets, worlds=worlds, seed=seed, device=device)
     return rows
 
 
@@ -283,6 +300,8 @@ def _plain(row: Row) -> dict[str, Any]:
     }
     out = {"policy": row.policy, "Train Rew": known(row.train_return), "Trials": row.trials, **measured}
     return out | ({"overlaps": row.overlaps} if row.overlaps else {})
+    return {"policy": row.policy, "Train Rew": known(row.train_return), "Trials": row.trials, **measured,
+            ROOM: row.without_room}  # fmt: skip
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -296,6 +315,10 @@ def table(rows: Sequence[Row]) -> str:
 def _lines(table_: Sequence[Sequence[str]]) -> str:
     """Return cells as a table in Markdown, the first row its head, the first column left-aligned."""
     widths = [max(map(len, column)) for column in zip(*table_, strict=True)]
+    head = ("policy", "Train Rew", "Trials", *COLUMNS, ROOM)
+    body = [(r.policy, _cell(r.train_return), str(r.trials), *(_cell(r.mean(c), r.spread(c)) for c in COLUMNS),
+             str(r.without_room)) for r in rows]  # fmt: skip
+    widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
 
     def line(cells: Sequence[str]) -> str:
         first, *others = zip(cells, widths, strict=True)

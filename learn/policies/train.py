@@ -24,6 +24,7 @@ from ..runs.processes import Processes
 from ..runs.threads import one_thread
 from ..tasks.registry import TaskRegistry, plain, settings_from
 from ..tasks.task import Task, policy_seed, task_seed
+from .crowding import contacts_without_room
 from .ppo_runner import Iteration, Runner
 from .ppo_settings import PPOSettings
 
@@ -78,6 +79,7 @@ class Trainer:
         torch.manual_seed(policy_seed(plan.seed, self.processes.rank))
         self.runner = Runner(task, plan.ppo, self.processes, self._after)
         self.done, self._steps = 0, 0
+        self._without_room = contacts_without_room(task)
 
     @property
     def _own(self) -> str:
@@ -137,8 +139,9 @@ class Trainer:
         if not all(map(math.isfinite, iteration.losses.values())):
             raise LostError(f"a loss is no longer finite in iteration {iteration.number}")
         self.done, self._steps = iteration.number, self._steps + iteration.steps
+        row = self._row(iteration)
         if self.processes.first:
-            self.folder.add_metrics(self._row(iteration))
+            self.folder.add_metrics(row)
         if self.done % self.plan.ppo.checkpoint_every == 0 or self.done == self.plan.ppo.iterations:
             self._save()
         self.progress(1)
@@ -148,8 +151,14 @@ class Trainer:
             "iteration": i.number, "steps": self._steps, "episodes": i.episodes, "reward": i.reward, **i.metrics,
             **{f"{name}_loss": value for name, value in i.losses.items()}, "learning_rate": i.learning_rate,
             "action_std": i.action_std, "collect_seconds": round(i.collect_seconds, 4),
-            "learn_seconds": round(i.learn_seconds, 4),
+            "learn_seconds": round(i.learn_seconds, 4), "contacts_without_room": self._crowding(),
         }  # fmt: skip
+
+    def _crowding(self) -> float:
+        """Return the contacts that found no room since this was last asked, in the worlds of all processes."""
+        now, before = contacts_without_room(self.task), self._without_room
+        self._without_room = now
+        return float(self.processes.sum(torch.tensor(float(now - before), device=self.plan.device)))
 
     def _save(self) -> None:
         own = {"task": self.task.snapshot(), "random": torch.get_rng_state(), "steps": self._steps}

@@ -120,10 +120,12 @@ def _numbers(rows: Rows) -> list[KeyNumber]:
         KeyNumber("Success", 100 * at_the_end(rows, "success"), "%", last),
         KeyNumber("Occlusion drop", 100 * at_the_end(rows, "occlusion_drop"), "%", last),
         KeyNumber("Inside the margin", 100 * at_the_end(rows, "breach"), "%", "Share of steps; less is better."),
+        KeyNumber("Contacts without room", sum(row.get("contacts_without_room") or 0.0 for row in rows), "",
+                  "Contacts that a world's buffer had no room for; nothing held the branches apart there."),
         KeyNumber("Time", seconds / 60.0, "min", "Spent in iterations, without building the worlds."),
         KeyNumber("Speed", steps / max(seconds, 1e-9), "steps/s", "Steps of all worlds, learning included."),
         KeyNumber("Learning", 100 * learn / max(seconds, 1e-9), "%", "Share of that time for the update."),
-    ]
+    ]  # fmt: skip
 
 
 def _details(config: dict[str, Any]) -> dict[str, object]:

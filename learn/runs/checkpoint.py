@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from typing import Any
 import torch
 
 from ...sim.base.errors import InputError
+
+_COUNT = "work counted"
 
 
 @dataclass
@@ -24,11 +27,15 @@ class Checkpoint:
         folder: Where they are kept; None keeps nothing.
         key: What the run is made of; a run of another key is not gone on with.
         every: Seconds between two writes of the same state.
+        count: Returns what this process has counted of the work so far, such as world-steps; kept with every state.
+        earlier: What the processes before had counted when they last wrote.
     """
 
     folder: Path | None = None
     key: str = ""
     every: float = 1.0
+    count: Callable[[], int] = lambda: 0
+    earlier: int = 0
     _written: dict[str, float] = field(default_factory=dict)
 
     def open(self, resume: bool) -> bool:
@@ -46,6 +53,8 @@ class Checkpoint:
                 raise InputError(
                     self.folder, "--resume", "an unfinished run of another case or other settings", allowed
                 )
+            states = [self.folder / name for name in os.listdir(self.folder) if name[0] != "." and name != "key"]
+            self.earlier = max((torch.load(file, weights_only=True).get(_COUNT, 0) for file in states), default=0)
             return True
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
@@ -57,7 +66,7 @@ class Checkpoint:
         if self.folder is None or not (self.folder / name).exists():
             return None
         state: dict[str, Any] = torch.load(self.folder / name, weights_only=True)
-        return state
+        return {key: value for key, value in state.items() if key != _COUNT}
 
     def due(self, name: str) -> bool:
         """Return whether a state should be written now."""
@@ -68,7 +77,7 @@ class Checkpoint:
         if self.folder is None:
             return
         part = self.folder / f".{name}.part"
-        torch.save(state, part)
+        torch.save({**state, _COUNT: self.earlier + self.count()}, part)
         os.replace(part, self.folder / name)
         self._written[name] = time.monotonic()
 

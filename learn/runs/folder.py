@@ -78,11 +78,17 @@ class RunFolder:
         replace_text(file, "".join(f"{line}\n" for line in [head, *kept]) if done and kept else "")
 
     def add_metrics(self, row: dict[str, float | None]) -> None:
-        """Append the row of an iteration; ``iteration`` is its first column."""
+        """Append the row of an iteration; ``iteration`` is its first column.
+
+        A run of an earlier bough keeps the columns that it was begun with.
+        """
         file = self.path / METRICS_FILE
         fresh = not file.exists() or file.stat().st_size == 0
-        line = io.StringIO()
-        writer = csv.DictWriter(line, list(row), lineterminator="\n")
+        line, head = io.StringIO(), list(row)
+        if not fresh:
+            with file.open() as begun:
+                head = begun.readline().rstrip("\n").split(",")
+        writer = csv.DictWriter(line, head, lineterminator="\n", extrasaction="ignore")
         if fresh:
             writer.writeheader()
         writer.writerow(row)

@@ -24,6 +24,9 @@ from ..trees.tree import Tree
 from .arm import Arm
 from .arrays import ArmArrays, TouchArrays
 
+#: Contacts that a world of few capsules has room for.
+_LEAST_ROOM = 32
+
 
 @dataclass(frozen=True)
 class Contacts:
@@ -34,7 +37,8 @@ class Contacts:
         damping: Of a contact, while it touches [N s/m].
         friction: Coulomb's coefficient, at first the same in every world.
         creep: Speed below which a contact that sticks still slides [m/s]; friction grows with the speed up to here.
-        capacity: Contacts that a world has room for; more are counted in `ArmSimulator.overflow`.
+        capacity: Contacts that a world has room for; more are counted in `ArmSimulator.overflow`. None takes one for
+            every two capsules of the arm and the largest tree, 32 at least.
         arm_branch, arm_line, arm_arm, branch_branch: Which pairs touch. Branches touch the line where `line_mask` says
             so, and each other where they are apart at the start.
         line_radius: Of the power line [m].
@@ -46,7 +50,7 @@ class Contacts:
     damping: float = 60.0
     friction: float = 0.5
     creep: float = 2.0e-3
-    capacity: int = 32
+    capacity: int | None = None
     arm_branch: bool = True
     arm_line: bool = True
     arm_arm: bool = False
@@ -61,8 +65,19 @@ class Contacts:
             if not (math.isfinite(value) and value >= 0) or (name in ("stiffness", "creep") and value == 0):
                 raise InputError("contacts", name, f"{value}", "a number above zero")
         for name in ("capacity", "repeats"):
-            if getattr(self, name) < 1:
+            if getattr(self, name) is not None and getattr(self, name) < 1:
                 raise InputError("contacts", name, f"{getattr(self, name)}", "one or more")
+
+    def room_for(self, trees: Sequence[Tree], arm: Arm) -> int:
+        """Return the contacts that each world of these trees has room for.
+
+        Thrown trees and random arms with every contact on came to 0.4 a capsule at most. A world's memory grows with
+        the square of it on a GPU: 74 KB for 32.
+        """
+        if self.capacity is not None:
+            return self.capacity
+        capsules = len(arm.base_radius) + arm.num_capsules + max(len(tree.shape_link) for tree in trees)
+        return max(_LEAST_ROOM, -(-capsules // 2))
 
 
 @dataclass(frozen=True)
@@ -109,7 +124,7 @@ class ArmSimulator(Simulator):
         line_start, line_end: Ends of the power line's axis, to be written [m], [worlds, 3]; far below at first.
         line_mask: 1 where branches touch the line, int32, to be written in place, [worlds].
         start_q: Joint positions that `reset` returns to, to be written in place [rad], [worlds, dof].
-        overflow: Contacts that found no room since the start, int32 [worlds].
+        overflow: Contacts that found no room since the start, int32 [worlds]; see `without_room`.
         unsettled: 1 where the contacts' forces of the last substep were still changing, int32 [worlds].
         rupture: Strength of every joint and which are broken (`Rupture`), None unless ``breakable``.
         capsules, line: The same as Warp arrays, for perception.
@@ -153,7 +168,7 @@ class ArmSimulator(Simulator):
         super().__init__(model, dt=dt, substeps=substeps, threads=threads, effects=effects)
         worlds = model.num_worlds
         self._arm = ArmArrays(arm, worlds, model.gravity, model.device)
-        self._touch = TouchArrays(model, self._launcher, arm, self.contacts.capacity)
+        self._touch = TouchArrays(model, self._launcher, arm, self.contacts.room_for(model.trees, arm))
         self._set_rule()
         for name in ("q", "qd", "torque", "target", "end_position", "end_rotation"):
             setattr(self, name, getattr(self._arm, name))
@@ -176,6 +191,7 @@ class ArmSimulator(Simulator):
         self._start_q = wp.zeros((worlds, arm.num_dofs), dtype=float, device=model.device)
         self.start_q: torch.Tensor = wp.to_torch(self._start_q)
         self.start_q.copy_(torch.tensor(arm.home, dtype=torch.float32))
+        self._without_room = torch.zeros_like(self.overflow, dtype=torch.int64)
         self._make_capsules()
         self._outlining: dict[bool, Callable[[], None]] = {}
         self.rupture = Rupture(self) if breakable else None
@@ -210,6 +226,11 @@ class ArmSimulator(Simulator):
         """Return (world, link name, tick) of every lost world; the arm's name, and tick -1, where the arm was lost."""
         lost = torch.nonzero(self._arm.lost).flatten().tolist()
         return self.state.faults() + [(w, self.arm.name, -1) for w in lost]
+
+    @property
+    def without_room(self) -> int:
+        """Contacts that found no room in any world since this was made, resets or not; a look from the host."""
+        return int((self._without_room + self.overflow).sum())
 
     def _set_rule(self) -> None:
         rule, c = self._touch.kernel[0], self.contacts
@@ -268,6 +289,7 @@ class ArmSimulator(Simulator):
         self.look()
 
     def _reset(self, chosen: wp.array) -> None:
+        self._without_room += self.overflow * wp.to_torch(chosen)  # which the reset forgets
         super()._reset(chosen)
         if self.rupture is not None:
             self.rupture.heal(chosen)

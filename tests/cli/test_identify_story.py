@@ -105,6 +105,8 @@ def test_a_killed_run_goes_on_to_the_same_bits(bough, inside, brief):
     assert done.code == 0, done.err
     a, b = (np.load(f"{name}/posterior.npz")["particles"] for name in ("whole", "killed"))
     assert (a == b).all()
+    steps, both = (json.loads(Path(f"{name}/report.json").read_text())["world_steps"] for name in ("whole", "killed"))
+    assert steps <= both <= 1.5 * steps  # of both processes; what was done after the last write is done again
     assert not Path(".killed.unfinished").exists()
 
 

@@ -64,6 +64,7 @@ def test_mean_and_spread_over_sets():
     assert math.isnan(Row("zero", math.nan, 10, sets[:1]).spread("Test Rew"))
     lines = table([row, Row("zero", math.nan, 10, sets[:1])]).splitlines()
     assert lines[0].split("|")[1:4] == [" policy  ", " Train Rew ", " Trials "]
+    assert lines[0].split("|")[-2:] == [" No room ", ""] and lines[2].split("|")[-2].strip() == "0"
     assert "3.0 ± 2.6" in lines[2] and lines[3].split("|")[2].strip() == "-"
     assert len(set(map(len, lines))) == 1
 

@@ -33,6 +33,22 @@ def test_another_run_is_refused_and_a_fresh_one_forgets(tmp_path):
     assert fresh.load("a") is None
 
 
+def test_work_is_counted_over_all_processes_of_a_run(tmp_path):
+    """Add what killed processes had counted when they last wrote, and nothing of what they did after."""
+    done, earlier = [0, 0, 0], []
+    for process in range(3):
+        keep = Checkpoint(tmp_path / "run", "key")
+        keep.open(resume=True)
+        earlier.append(keep.earlier)
+        keep.count = lambda n=process: done[n]
+        for name, work in (("modes", 100), ("particles", 250)):
+            done[process] = work
+            keep.save(name, {"x": torch.zeros(2)})
+        done[process] = 400  # killed here
+        assert set(keep.load("modes")) == {"x"}
+    assert earlier == [0, 250, 500]
+
+
 @pytest.mark.parametrize("clock", [5.0, 1e7])
 def test_states_are_not_written_too_often(tmp_path, monkeypatch, clock):
     """A state is due at once, also on a machine that was started seconds ago, then only after a while."""

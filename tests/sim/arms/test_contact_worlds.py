@@ -339,7 +339,22 @@ def test_a_full_buffer_is_counted():
     act(quiet, 96)
     crowded = small.overflow.numpy() > 0
     assert crowded.sum() >= 3 and not crowded[most == 0].any()
-    assert int(quiet.overflow.sum()) == 0
+    assert int(quiet.overflow.sum()) == quiet.without_room == 0
+    first = int(small.overflow.sum())
+    small.reset()
+    assert int(small.overflow.sum()) == 0 and small.without_room == first
+    act(small, 96)
+    assert small.without_room == first + int(small.overflow.sum()) > first
+
+
+def test_room_grows_with_the_scene():
+    """Give small trees room for 32 contacts, larger ones for one in two capsules, and what is asked for."""
+    small, large = (ternary(np.random.default_rng(0), order=order) for order in (1, 3))
+    thrice = {name: np.concatenate([getattr(large, name)] * 3) for name in ("shape_link", "shape_start", "shape_end")}
+    large = large.with_(**thrice, shape_radius=np.concatenate([large.shape_radius] * 3))
+    assert len(large.shape_link) == 120 and len(RADIUS) == 10
+    for given, trees, room in ((None, [small], 32), (None, [small, large], 65), (7, [large], 7)):
+        assert simulator(trees, contacts={"capacity": given})._touch.record.shape == (len(trees), room)
 
 
 def test_random_scenes_lose_no_world():
