@@ -16,7 +16,6 @@ from ..runs.folder import CONFIG, RunFolder, replace_text
 from ..runs.threads import one_thread
 from ..tasks.registry import TaskRegistry, settings_from
 from ..tasks.task import METRICS, Task, Watch, unseen_seed
-from ..tasks.task import METRICS, Task, unseen_seed
 from .crowding import contacts_without_room
 from .ppo_settings import PPOSettings
 from .train_report import at_the_end
@@ -221,8 +220,6 @@ def evaluate(
         trained = replace(trained, settings=registry.all_scenes(trained.settings))
     found: dict[str, list[Tested]] = {name: [] for name in ("trained", *baselines)}
     scenes: list[dict[str, float]] = []
-    found: dict[str, list[dict[str, float]]] = {name: [] for name in ("trained", *baselines)}
-    crowded = dict.fromkeys(found, 0)
     for index in range(sets):
         test_seed = unseen_seed(seed, index)
         task = registry.make(trained.name, trained.settings, num_envs=worlds, seed=test_seed, device=device, test=True)
@@ -237,32 +234,24 @@ def evaluate(
     rows = [_row(n, end if n == "trained" else math.nan, sets * worlds, results) for n, results in found.items()]
     how = {"sets": sets, "worlds": worlds, "seed": seed, "device": device}
     _write(folder, trained, rows, scenes, (ALL_JSON, ALL_TABLE) if all_scenes else (JSON, TABLE), **how)
-            before = contacts_without_room(task)
-            with one_thread():
-                results.append(columns(first_episodes(task, policy)))
-            crowded[name] += contacts_without_room(task) - before
-            progress(1)
-    end = at_the_end(folder.metrics(), "return")
-    ends = {name: end if name == "trained" else math.nan for name in found}
-    rows = [Row(name, ends[name], sets * worlds, results, crowded[name]) for name, results in found.items()]
-    _write(folder, trained, rows, sets=sets, worlds=worlds, seed=seed, device=device)
     return rows
 
 
-Tested = tuple[dict[str, float], dict[str, dict[str, float]]]
-"""`COLUMNS` of a policy on a test set, and its overlaps."""
+Tested = tuple[dict[str, float], dict[str, dict[str, float]], int]
+"""`COLUMNS` of a policy on a test set, its overlaps, and its contacts without room."""
 
 
 def _tested(task: Task, policy: Policy) -> Tested:
     watch = task.watch() if hasattr(task, "watch") else None
+    before = contacts_without_room(task)
     with one_thread():
         measured = columns(first_episodes(task, policy, watch))
-    return measured, {} if watch is None else watch.rows()
+    return measured, {} if watch is None else watch.rows(), contacts_without_room(task) - before
 
 
 def _row(name: str, train_return: float, trials: int, results: Sequence[Tested]) -> Row:
-    overlaps = [found for _, found in results if found]
-    return Row(name, train_return, trials, [measured for measured, _ in results], overlaps)
+    measured, overlaps, crowded = zip(*results, strict=True)
+    return Row(name, train_return, trials, list(measured), [found for found in overlaps if found], sum(crowded))
 
 
 def _write(
@@ -298,27 +287,22 @@ def _plain(row: Row) -> dict[str, Any]:
         c: {"mean": known(row.mean(c)), "spread": known(row.spread(c)), "sets": [known(s[c]) for s in row.sets]}
         for c in COLUMNS
     }
-    out = {"policy": row.policy, "Train Rew": known(row.train_return), "Trials": row.trials, **measured}
+    out = {"policy": row.policy, "Train Rew": known(row.train_return), "Trials": row.trials, **measured,
+           ROOM: row.without_room}  # fmt: skip
     return out | ({"overlaps": row.overlaps} if row.overlaps else {})
-    return {"policy": row.policy, "Train Rew": known(row.train_return), "Trials": row.trials, **measured,
-            ROOM: row.without_room}  # fmt: skip
 
 
 def table(rows: Sequence[Row]) -> str:
     """Return the rows as a table in Markdown: mean and standard deviation over the test sets."""
-    head = ("policy", "Train Rew", "Trials", *COLUMNS)
-    body = [(r.policy, _cell(r.train_return), str(r.trials), *(_cell(r.mean(c), r.spread(c)) for c in COLUMNS))
-            for r in rows]  # fmt: skip
+    head = ("policy", "Train Rew", "Trials", *COLUMNS, ROOM)
+    body = [(r.policy, _cell(r.train_return), str(r.trials), *(_cell(r.mean(c), r.spread(c)) for c in COLUMNS),
+             str(r.without_room)) for r in rows]  # fmt: skip
     return _lines([head, *body])
 
 
 def _lines(table_: Sequence[Sequence[str]]) -> str:
     """Return cells as a table in Markdown, the first row its head, the first column left-aligned."""
     widths = [max(map(len, column)) for column in zip(*table_, strict=True)]
-    head = ("policy", "Train Rew", "Trials", *COLUMNS, ROOM)
-    body = [(r.policy, _cell(r.train_return), str(r.trials), *(_cell(r.mean(c), r.spread(c)) for c in COLUMNS),
-             str(r.without_room)) for r in rows]  # fmt: skip
-    widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
 
     def line(cells: Sequence[str]) -> str:
         first, *others = zip(cells, widths, strict=True)
