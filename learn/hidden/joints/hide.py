@@ -180,7 +180,8 @@ def _left_of_torque(rig: Rig, motion: Motion, hidden: Sequence[Hidden]) -> float
 def _left_of_motion(rig: Rig, motion: Motion, effort: Array) -> float:
     """Fit springs, dampers and weights of a replay by Gauss and Newton, and return what is left of the motion."""
     names = ("stiffness", "damping") if rig.chain.stiffness.any() else ("mass", "damping")
-    best, unknown = np.inf, np.zeros(len(names) * rig.chain.count)
+    best = np.inf
+    unknown: Array = np.zeros(len(names) * rig.chain.count)
     with np.errstate(all="ignore"):  # a step that goes too far is found out by its numbers
         for _ in range(STEPS):
             unknown, left = _improved(rig, motion, effort, names, unknown)

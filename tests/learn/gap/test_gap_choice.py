@@ -2,19 +2,20 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 import yaml
 from bough.learn.cases.case import load_case
+from bough.learn.gap.consistent import sentence
 from bough.learn.gap.decide import Decision
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.fitted import FittedModels, Model
 from bough.learn.gap.models.refit import fit
 from bough.learn.gap.prepare import prepare
-from bough.learn.gap.record import sentence
 from bough.learn.gap.run import Run
 from bough.learn.gap.search import Searched
 from bough.learn.gap.steady import at_half_rate, steadied, variants
@@ -209,5 +210,6 @@ def test_a_name_that_another_filter_takes_back_is_not_claimed(tmp_path):
         found = steadied(base, searched, replace(right, model=wrong, final=wrong, named=drag), run)
     assert found.verdict == "unknown" and found.named == ()
     assert any("a filter of 5 Hz gives dry_friction" in line for line in found.unstable)
-    text = sentence(found, None, 0.5, None)
+    said = {"unusable": None, "not_understood": (), "verdict": "unknown", "implausible": (), "remarks": ()}
+    text = sentence(SimpleNamespace(**said, unstable=found.unstable))
     assert "hangs on how the data are treated: a filter of 5 Hz gives dry_friction" in text
