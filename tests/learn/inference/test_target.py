@@ -9,6 +9,8 @@ from bough.learn.inference.posterior import initial_vectors
 from bough.learn.inference.target import Target
 from bough.learn.replay.recording import recordings
 from bough.learn.replay.rollout import Rollout
+from bough.learn.systems.acting import Acting
+from bough.learn.systems.branch import Unknowns
 from oracles.oscillator import decay, write_case
 
 K, D, J = 80.0, 1.5, 2.0
@@ -115,3 +117,24 @@ def test_modes_are_found_from_far(tmp_path):
     error = (modes.theta[best, :2] - torch.log(torch.tensor([K, D]))).abs()
     assert (error < 4 * deviation + torch.tensor([1e-4, 4e-4])).all()
     assert (modes.log_posterior > modes.log_posterior.max() - 3).sum() >= 3
+
+
+def test_nothing_is_simulated_past_the_end_of_a_box(tmp_path):
+    """Move a share at either end and in the middle by 1 % of half its box at most, and never beyond it.
+
+    Derivatives at the ends are those of a one-sided difference by the same step: they are finite.
+    """
+    case = load_case(write_case(tmp_path / "case", [(0.5, 0.0), (-0.3, 1.0)], noise=0.002))
+    unknowns = Unknowns(effects=(Acting("dry_friction", 0),))
+    target = Target(case, recordings(case), torch.tensor([0.002]), unknowns=unknowns)
+    column = [p.name for p in target.system.parameters].index("dry_friction@0 gradual")
+    own = torch.tensor([p.start for p in target.system.parameters], dtype=torch.float64).repeat(3, 1)
+    own[:, column] = torch.tensor([0.0, 0.5, 1.0])
+    rest = torch.cat([target.start0.flatten(), target.log_noise0]).expand(3, -1)
+    seen, values = [], target.values
+    target.values = lambda u: seen.append(u) or values(u)
+    _, derivative = target.linearise(torch.cat([own, rest], 1))
+    tried = seen[0].unflatten(0, (3, -1))[..., column]
+    assert bool(((tried >= 0.0) & (tried <= 1.0)).all())
+    torch.testing.assert_close(tried.amax(1) - tried.amin(1), torch.tensor([0.005, 0.01, 0.005]).double())
+    assert bool(derivative.isfinite().all()) and float(derivative[:, column].abs().amax()) > 0.0
