@@ -115,16 +115,19 @@ def contact(found: Last) -> str:
     return "\n\n".join([paragraph(head), table, paragraph(tail)])
 
 
-#: What the stages of perception are called in the table.
+#: What the stages of perception are called in the table; older records do not have all of them.
 _STAGES = {
-    "sampling": "drawing three clouds", "embedding": "four embeddings", "occlusion": "occlusion",
-    "nearest": "5 nearest branch points", "margin": "safety margin", "scores": "writing scores", "all": "all",
+    "sampling": "drawing three clouds", "true occlusion": "occlusion, without noise",
+    "true margin": "safety margin, without noise", "noise": "noise", "embedding": "four embeddings",
+    "occlusion": "occlusion", "nearest": "5 nearest branch points", "margin": "safety margin",
+    "scores": "writing scores", "all": "all",
 }  # fmt: skip
 
 
 def perception(found: Last) -> str:
     """Write the time of each stage beside torch's."""
-    figures = [(title, found.get(stage, "time")) for stage, title in _STAGES.items()]
+    timed = found.cases("time")
+    figures = [(title, found.get(stage, "time")) for stage, title in _STAGES.items() if stage in timed]
     body = [[title, _us(f.value), _us(f.peer), _whole(f.ratio)] for title, f in figures]
     learnt = found.get("embedding, PointNet++", "time")
     body.append(["PointNet++ (sampling left out), four clouds", "", _us(learnt.peer), _whole(learnt.ratio)])

@@ -192,48 +192,58 @@ def outside(value: float, bounds: wp.vec2) -> float:
 
 
 @wp.func
-def crowd_of(a: SceneArrays, r: SceneRules, tree: int, place: Place) -> wp.vec4:
-    """What is at the target of a place.
+def wood_at(a: SceneArrays, r: SceneRules, tree: int, place: Place) -> wp.vec3:
+    """What reaches into the region of a place where points occlude.
 
-    How far firm wood reaches into the region where points occlude, and other branches deeper than ``depth`` allows [m],
-    both summed; pairs of points expected within d_th; branches (capsules) that reach into the region.
+    How far firm wood does, and other branches deeper than ``depth`` allows [m], both summed; the number of branches
+    (capsules).
     """
-    firm = wp.float32(0.0)
-    deep = wp.float32(0.0)
-    number = wp.float32(0.0)
+    out = wp.vec3(0.0, 0.0, 0.0)
+    for s in range(a.count[tree]):
+        gap = target_gap(planted(a.start[tree, s], place), planted(a.end[tree, s], place), r, place)
+        reaching = r.clearance + r.near - gap
+        if reaching > 0.0:
+            out[2] = out[2] + 1.0
+        if a.firm[tree, s] == 1:
+            out[0] = out[0] + wp.max(0.0, reaching + a.radius[tree, s])
+        else:
+            out[1] = out[1] + wp.max(0.0, reaching - r.depth[1])
+    return out
+
+
+@wp.func
+def expected_pairs(a: SceneArrays, r: SceneRules, tree: int, place: Place) -> float:
+    """Pairs of points expected within d_th."""
     pairs = wp.float32(0.0)
     area = wp.float32(0.0)
     for s in range(a.count[tree]):
-        radius = a.radius[tree, s]
         p = planted(a.start[tree, s], place)
         q = planted(a.end[tree, s], place)
-        size = radius * wp.length(q - p)
+        size = a.radius[tree, s] * wp.length(q - p)
         area = area + size
-        reaching = r.clearance + r.near - target_gap(p, q, r, place)
-        if a.firm[tree, s] == 1:
-            firm = firm + wp.max(0.0, reaching + radius)
-        if reaching > 0.0:
-            number = number + 1.0
-            if a.firm[tree, s] == 0:
-                deep = deep + wp.max(0.0, reaching - r.depth[1])
+        if target_gap(p, q, r, place) < r.clearance + r.near:
             for j in range(AXIS_POINTS):
                 x = wp.lerp(p, q, (float(j) + 0.5) / float(AXIS_POINTS))
                 pairs = pairs + size * share_near(x, r, place) / float(AXIS_POINTS)
-    return wp.vec4(firm, deep, r.points * r.points * pairs / wp.max(area, TINY), number)
+    return r.points * r.points * pairs / wp.max(area, TINY)
 
 
 @wp.func
 def branch_breach(a: SceneArrays, r: SceneRules, tree: int, place: Place) -> float:
-    """How far the branches break the rules of occlusion [m]; pairs or branches too few, pairs too many up to d_th."""
-    crowd = crowd_of(a, r, tree, place)
+    """How far the branches break the rules of occlusion [m]; every branch that lacks, and pairs, count up to d_th.
+
+    Pairs are dear, and asked for only where the other rules hold; else they count as d_th.
+    """
+    wood = wood_at(a, r, tree, place)
+    breach = r.near * wp.max(0.0, r.branches - wood[2])
     bounds = r.pairs
-    breach = wp.float32(0.0)
     if r.feasible == 1:
-        breach = crowd[0] + crowd[1]
+        breach = breach + wood[0] + wood[1]
     else:
         bounds[1] = wp.float32(wp.inf)
-    breach = breach + r.near * wp.min(1.0, outside(crowd[2], bounds) / r.pairs[0])
-    return breach + r.near * wp.max(0.0, r.branches - crowd[3])
+    if breach > 0.0:
+        return breach + r.near
+    return r.near * wp.min(1.0, outside(expected_pairs(a, r, tree, place), bounds) / r.pairs[0])
 
 
 @wp.func
@@ -345,7 +355,9 @@ def place_scene(
     damping_out[world] = between_log(rules_in.damping, u[1])
     friction_out[world] = between(rules_in.friction, u[2])
     breach_out[world] = least
-    crowd_out[world] = crowd_of(arrays_in, rules_in, arrays_in.tree[world], best)
+    tree = arrays_in.tree[world]
+    wood = wood_at(arrays_in, rules_in, tree, best)
+    crowd_out[world] = wp.vec4(wood[0], wood[1], expected_pairs(arrays_in, rules_in, tree, best), wood[2])
 
 
 @wp.func

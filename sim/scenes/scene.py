@@ -140,7 +140,7 @@ class SceneSettings:
     stiffness: Range = (0.7, 1.4)
     damping: Range = (0.7, 1.4)
     friction: Range = (0.3, 0.7)
-    attempts: int = 512
+    attempts: int = 2048
 
     def check(self, reach: float = np.inf) -> SceneSettings:
         """Return self if a scene can be made of it for an arm that reaches ``reach`` metres from its shoulder.
@@ -299,7 +299,7 @@ class Scene:
         target: Ends of the axes around which the region to clear lies, for perception, Warp arrays [worlds, strips].
         stiffness, damping: Factors drawn for each world, [worlds].
         breach: How far each world's place breaks a rule [m], 0 where it breaks none, [worlds].
-        crowd: What is at each world's target (`kernels.tasks.scene.crowd_of`): metres of firm wood and of too deep
+        crowd: What is at each world's target (`kernels.tasks.scene`): metres of firm wood and of too deep
             branches, expected pairs, number of branches, [worlds, 4].
     """
 
