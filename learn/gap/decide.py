@@ -99,7 +99,7 @@ def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> 
     if base.unusable is not None:
         return "unknown"
     models = searched.fitted
-    small = searched.p_value > ALARM or size(models, models.best, base.motion) < tolerance
+    small = searched.p_value > ALARM or size(models, model, base.motion) < tolerance
     if small and not lacks_fit(models, tolerance * base.motion):
         return "none"
     certain = not uncertain(models.contest, model)

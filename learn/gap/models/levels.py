@@ -140,7 +140,11 @@ def _started(
     known = typical.active.clone() if typical.start.numel() else typical.active & False
     known[:, : contest.num_base] = True
     typical.free = torch.where(known, contest.typical, typical.free)
-    return Batch.joined([*batches, led(contest, typical)]), [*members, *keys]
+    rows = [*members, *keys]
+    order = sorted(range(len(rows)), key=lambda s: keys.index(rows[s]))  # neighbours have about as many parameters
+    return Batch.joined([*batches, led(contest, typical)])[torch.tensor(order, device=contest.place)], sorted(
+        rows, key=keys.index
+    )
 
 
 def _promised(

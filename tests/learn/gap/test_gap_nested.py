@@ -9,6 +9,7 @@ import torch
 from bough.learn.cases.case import load_case
 from bough.learn.cases.noise import estimate_noise
 from bough.learn.gap import prepare as preparing
+from bough.learn.gap.decide import pays
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.certain import covariance, uncertain
@@ -176,3 +177,30 @@ def test_a_false_minimum_of_the_base_raises_no_alarm(tmp_path, monkeypatch):
         found = find_missing(load_case(tmp_path / "case"), Run(Settings(particles=0, effects=few)))
     assert found.verdict == "none", found.sentence
     assert found.base_reduced_chi2 < 1.1 and all(r.explained >= 0.0 for r in found.ranking)
+
+
+def test_a_further_effect_must_pay_where_it_was_not_fitted(small):
+    """Let a force's offset pay beside its scale where both are hidden, and not where the scale alone is.
+
+    Of a parameter too many nothing is kept on average; half of its gain is in fewer than half of eight measurements.
+    """
+    scale, bias = (
+        next(k for k, c in enumerate(small.candidates) if c.name == n) for n in ("force_scale", "force_bias")
+    )
+    members = tuple(sorted((scale, bias)))
+
+    def pay(size, seed):
+        truth = activated(small, small.base_batch(1), [members])
+        truth.free[0, small.candidates[scale].columns[0]] = 0.1
+        first = small.candidates[bias].columns[0]
+        truth.free[0, first] = size * small.high[first]
+        clean = small.simulate(small.values(truth), truth.start)[0].double()
+        noise = small.sigma.cpu().numpy() * np.random.default_rng(seed).standard_normal(clean.shape)
+        small.measured = clean + torch.as_tensor(noise)
+        single = truth.copy()
+        single.active[:, list(small.candidates[bias].columns)] = False
+        both, one = (Model(m, fit(small, b, 10), True) for m, b in ((members, truth), ((scale,), single)))
+        return pays(FittedModels(small, one, [one, both]), both, one)
+
+    assert all(pay(0.2, seed) for seed in range(3))
+    assert sum(pay(0.0, seed) for seed in range(8)) < 4
