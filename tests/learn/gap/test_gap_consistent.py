@@ -100,14 +100,16 @@ def contradictions(found: Diagnosis, text: str) -> list[str]:
     """
     out, gap = [], found.gap
     ratio = gap.base / gap.noise_floor
-    excess = math.sqrt(max(gap.base**2 - gap.noise_floor**2, 0.0)) / found.swing
+    sure = found.p_null <= ALARM or found.base_reduced_chi2 > 1.0 + LACK
+    excess = math.sqrt(max(gap.base**2 - gap.noise_floor**2, 0.0)) / found.swing if ratio > FAR else 0.0
+    if found.base_reduced_chi2 > 1.0 + LACK:
+        excess = max(excess, math.sqrt(found.base_reduced_chi2 - 1.0) / found.motion)
     claims = {
         "nothing": "No missing effect is detectable" in text,
         "small": "Nothing larger than the tolerance" in found.sentence,
         "lacks": "The model lacks" in text, "something": "Something is missing" in found.sentence,
         "no verdict": "No verdict" in text or "cannot support a verdict" in text,
     }  # fmt: skip
-    sure = found.p_null <= ALARM or found.base_reduced_chi2 > 1.0 + LACK
     checks = {
         "one claim, not several": sum(claims.values()) <= 1,
         "nothing beside a p-value or an error that says otherwise": not claims["nothing"] or not (sure or ratio > FAR),
@@ -184,9 +186,9 @@ NAMED = PLAIN | {"verdict": "effects", "p": 1e-9, "explained": 0.95, "chi2": 5.0
     ("numbers", "verdict", "words"),
     [
         (PLAIN, "none", "No missing effect is detectable"),
-        (PLAIN | {"base": 0.0247, "floor": 1.7e-5, "swing": 0.3, "p": 1e-35, "chi2": 1e6, "size": 0.004}, "unknown",
+        (PLAIN | {"base": 0.0247, "floor": 1.7e-5, "swing": 0.3, "p": 1e-35, "chi2": 1.5, "size": 0.004}, "unknown",
          "8.2 % of the motion"),
-        (PLAIN | {"base": 0.004, "floor": 1.7e-5, "p": 1e-35, "chi2": 1e6, "size": 0.004}, "none",
+        (PLAIN | {"base": 0.004, "floor": 1.7e-5, "p": 1e-35, "chi2": 1.5, "size": 0.004}, "none",
          "Nothing larger than the tolerance of 0.55 % of the motion"),
         (PLAIN | {"base": 0.004, "floor": 1.7e-5}, "none", "Nothing larger than the tolerance of 0.55 % of the motion"),
         (PLAIN | {"p": 1e-5, "size": 0.02}, "unknown", "an effect is significant"),
