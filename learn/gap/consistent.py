@@ -64,6 +64,13 @@ def missed(found: Diagnosis) -> float:
     return math.sqrt(excess) / max(found.swing, 1e-300)
 
 
+def left_over(found: Diagnosis) -> float:
+    """Return what the base model leaves beyond doubt, as a share of the motion: where it was fitted, or held out."""
+    excess = found.base_reduced_chi2 - 1.0
+    fitted = math.sqrt(excess) / max(found.motion, 1e-300) if excess > LACK else 0.0
+    return max(fitted, missed(found) if far(found) else 0.0)
+
+
 def significant(found: Diagnosis) -> bool:
     """Return whether something is missing beyond doubt: by the p-value, or by a misfit that no noise makes."""
     return found.p_null <= ALARM or found.base_reduced_chi2 > 1.0 + LACK
@@ -103,14 +110,14 @@ def _none_but_large(d: Diagnosis) -> str | None:
 
 def _none_but_far(d: Diagnosis) -> str | None:
     """Nothing is missing: then the held-out error is near the noise, or smaller than the tolerance."""
-    if d.verdict != "none" or not far(d) or missed(d) <= d.settings.tolerance:
+    if d.verdict != "none" or left_over(d) <= d.settings.tolerance:
         return None
     best = "no candidate is significant"
     if d.p_null <= ALARM:
         best = f"the best candidate (p = {d.p_null:.1g}) changes the motion by only {percent(d.size)}"
-    return (f"{best}, and yet the {error_name(d)} is {_times(d.gap.base, d.gap.noise_floor)} the"
-            f" noise floor and {percent(missed(d))} of the motion, above the tolerance of"
-            f" {percent(d.settings.tolerance)}")  # fmt: skip
+    return (f"{best}, and yet the base model leaves {percent(left_over(d))} of the motion beyond the noise, above the"
+            f" tolerance of {percent(d.settings.tolerance)} ({error_name(d)}"
+            f" {_times(d.gap.base, d.gap.noise_floor)} the noise floor)")  # fmt: skip
 
 
 def _named_but_insignificant(d: Diagnosis) -> str | None:
@@ -187,7 +194,7 @@ def _none(d: Diagnosis) -> str:
     if d.p_null <= ALARM:
         best = f"the best candidate changes the motion by {percent(d.size)} (p = {d.p_null:.1g}; {numbers})"
         return f"{nothing}: {best}."
-    return f"{nothing}: {numbers}, a misfit of {percent(missed(d))} of the motion."
+    return f"{nothing}: {numbers}, a misfit of {percent(left_over(d))} of the motion."
 
 
 def _unknown(d: Diagnosis) -> str:

@@ -132,14 +132,19 @@ def _residual(r: Recording, simulated: Array, broken: Array) -> Array:
 def motion_of(case: BranchCase | JointCase, recordings: Sequence[Recording]) -> Array:
     """Return the rms of every channel's motion, [C]: about rest for a branch, its axes together; else about its mean.
 
-    The zero of an encoder is anywhere, so a joint's motion is what it does about the mean of each recording.
+    The zero of an encoder is anywhere, so a joint's motion is what it does about the mean of each recording. One where
+    nothing moves at all.
     """
     if not isinstance(case, BranchCase):
         away = np.concatenate([r.output - r.output.mean(axis=0) for r in recordings])
-        return np.maximum(np.sqrt(np.mean(away**2, axis=0)), 1e-300)
+        return _or_one(np.sqrt(np.mean(away**2, axis=0)))
     squares = np.mean(np.concatenate([r.output for r in recordings]) ** 2, axis=0).reshape(2, 3)
     axes = 2 if case.planar else 3
-    return np.maximum(np.sqrt(squares.sum(axis=1) / axes), 1e-300).repeat(3)
+    return _or_one(np.sqrt(squares.sum(axis=1) / axes)).repeat(3)
+
+
+def _or_one(spread: Array) -> Array:
+    return np.where(spread > 0.0, spread, 1.0)
 
 
 def swing_of(case: BranchCase | JointCase, recordings: Sequence[Recording], chosen: Sequence[int]) -> float:
