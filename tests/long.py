@@ -34,6 +34,8 @@ LONG = {
     "kernels/test_ptx.py::test_compiles_for_a_gpu[step_loaded": _GPU,
     "kernels/test_ptx.py::test_compiles_for_a_gpu[step_terms-64]": _GPU,
     "kernels/test_ptx.py::test_compiles_for_a_gpu[step-64]": _GPU,
+    "learn/exam/test_joint_exam.py::test_a_loop_measured_by_torques_is_one_effect": _SEARCH,
+    "learn/exam/test_joint_exam.py::test_a_spring_behind_a_diode_has_no_name": _SEARCH,
     "learn/gap/test_gap.py::test_nothing_hidden_is_called_none[0.01-3]": _SEARCH,
     "learn/gap/test_gap.py::test_nothing_hidden_is_called_none[0.03-3]": _SEARCH,
     "learn/gap/test_gap.py::test_nothing_hidden_is_called_none[0.05-3]": _SEARCH,

@@ -35,6 +35,8 @@ CUTOFFS = (0.5, 1.6)
 #: Largest deviation of a skipped sample from the middle of its neighbours, relative to the channel's rms, at which half
 #: of the samples still show the motion.
 SMOOTH = 0.05
+#: Share of the excess by which another name must be ahead under another treatment to take a name back.
+CLEARLY = 0.1
 #: Factor of the p-value of another treatment where the case's own names nothing.
 UNDO = 100.0
 
@@ -65,13 +67,20 @@ def steadied(base: Base, searched: Searched, decision: Decision, run: Run) -> De
     kept, changes = decision.model.members if decision.verdict == "effects" else (), []
     for variant in variants(case):
         again, fitted = _again(base, searched, decision, variant, run)
-        names = fitted.names(again.model)  # the leading ones, though they may explain too little to be claimed
-        alike = {n for rivals in alternatives(fitted, again.model).values() for n in rivals}
-        lost = [c for c in kept if again.verdict != "none" and _name(searched, c) not in {*names, *alike}]
+        lost = [c for c in kept if again.verdict != "none" and not _held(fitted, again.model, _name(searched, c))]
         if lost or (again.verdict == "effects" and not decision.named):
-            changes.append(f"{variant.what} gives {' and '.join(names)}")
+            changes.append(f"{variant.what} gives {' and '.join(fitted.names(again.model))}")
         kept = tuple(c for c in kept if c not in lost)
     return decision if not changes else _reduced(searched, decision, kept, tuple(changes))
+
+
+def _held(fitted: FittedModels, model: Model, name: str) -> bool:
+    """Return whether a treatment has a name in its leading model, or one in its place that explains nearly as much.
+
+    Whether the leading model explains enough to be claimed is no matter: a part of the data may show less.
+    """
+    others = [m for m in fitted.of_size(len(model.members)) if name in fitted.names(m)]
+    return any(fitted.explained(m) > fitted.explained(model) - CLEARLY for m in others)
 
 
 def _name(searched: Searched, candidate: int) -> str:
