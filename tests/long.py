@@ -17,7 +17,7 @@ LONG = {
     "cli/test_diagnose_story.py::test_exam_is_marked_and_goes_on": "an exam of two cases; its parts are tested apart",
     "cli/test_diagnose_story.py::test_exam_on_joints_is_marked": "an exam of two cases; its parts are tested apart",
     "cli/test_diagnose_story.py::test_a_killed_diagnosis_reaches_the_same_verdict": _SEARCH,
-    "cli/test_hide_story.py::test_hard_exam_is_held": "an exam of two cases; its parts are tested apart",
+    "cli/test_hide_story.py::test_hard_exam_is_held": "an exam of one case; its parts are tested apart",
     "cli/test_identify_story.py::test_options_run[options1]": "a posterior with other options; make test keeps one",
     "cli/test_identify_story.py::test_options_run[options2]": "a posterior with other options; make test keeps one",
     "cli/test_identify_story.py::test_options_run[options3]": "a posterior with other options; make test keeps one",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .branch import Array, unit
+from .joint_laws import Turned
 from .parts import Draft, Law, Now, Part, Readings, Scale
 
 Random = np.random.Generator
@@ -304,21 +305,28 @@ class HangingMass(Law):
 
 
 @dataclass
-class PlaceDamper(Law):
-    """A damper that grows with the joint's angle, as of a sleeve that tightens: torque -c |phi| w.
+class PlaceDamper(Turned):
+    """A damper that grows with the joint's angle, as of a sleeve that tightens, on a mount: torque -c |phi| w if slow.
+
+    The mount's turn l obeys l' = w - l / T, T = c |phi| / M. Without it the explicit law would be too stiff for the
+    small inertia about a link's own axis.
 
     Attributes:
         joint: Segment whose lower joint it is.
         damping: c [N m s/rad^2].
+        mount: M [N m/rad].
     """
 
-    joint: int
     damping: float
+    mount: float
 
     def act(self, now: Now) -> None:
-        """Add the torque."""
+        """Add the torque; the step is exact for a steady rate."""
         size = np.sqrt((now.angle(self.joint) ** 2).sum(axis=1, keepdims=True))
-        now.twist(self.joint, -self.damping * size * now.rate(self.joint))
+        steps = np.maximum(self.damping * size / self.mount / now.step, 1e-9)
+        left = np.exp(-1 / steps)
+        self._z = self._z * left + self.turn(now) * steps * (1 - left)
+        now.twist(self.joint, -self.mount * self._z)
 
 
 def hanging_mass(rng: Random, scale: Scale, joint: int) -> Draft:
@@ -339,11 +347,11 @@ def hanging_mass(rng: Random, scale: Scale, joint: int) -> Draft:
 
 def place_damping(rng: Random, scale: Scale, joint: int) -> Draft:
     """Draw a damper that grows with the angle; the strength is its torque at the largest angle and rate over K's."""
-    size = scale.torque(joint) / float(scale.angle[joint] * scale.rate[joint])
+    size, mount = scale.torque(joint) / float(scale.angle[joint] * scale.rate[joint]), 4 * scale.branch.stiffness[joint]
 
     def make(strength: float) -> Part:
         value = strength * size
-        return Part({"damping_Nmsprad2": value}, joint, lambda: PlaceDamper(joint, value))
+        return Part({"damping_Nmsprad2": value}, joint, lambda: PlaceDamper(joint, value, mount))
 
     return Draft(make, 0.02, 0.6, 20.0)
 

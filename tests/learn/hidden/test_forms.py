@@ -389,10 +389,11 @@ def test_hanging_mass_swings_at_its_frequency() -> None:
 
 def test_more_outside_effects() -> None:
     """Damp with the angle; leak between channels and leave their own; repeat readings in spells only."""
-    held = Held()
-    held.phi, held.w = np.array([[0.0, 0.1, 0.0]]), np.array([[2.0, 0.0, 0.0]])
-    PlaceDamper(0, 0.3).act(held)
-    np.testing.assert_allclose(held.torque[0], [-0.3 * 0.1 * 2.0, 0, 0])
+    phi = 0.1 + 1e-5 * np.arange(2000)  # a hundredth of a radian a second
+    added = follow(PlaceDamper(0, 3.0, 4 * K), phi)[500:, 0]
+    np.testing.assert_allclose(added, -3.0 * phi[500:] * 1e-5 / STEP, rtol=1e-3)
+    fast = follow(PlaceDamper(0, 3.0, 4 * K), [0.1, 0.1001])[1, 0]  # within a step the mount takes nearly all of it
+    assert -4 * K * 1e-4 < fast < -0.85 * 4 * K * 1e-4
     rng = np.random.default_rng(3)
     seen = Readings(np.arange(101) * 0.04, *(rng.normal(size=(2, 101, n)) for n in (3, 3, 3, 4)))
     leaked = MORE["cross_talk"](rng, scale(), 0).make(0.2).sense(seen).force
