@@ -348,7 +348,7 @@ def test_a_full_buffer_is_counted():
 
 
 def test_room_grows_with_the_scene():
-    """Give small trees room for 32 contacts, larger ones for one in two capsules, or for two in one, or what is asked."""
+    """Give small trees room for 32 contacts, larger ones for one in two capsules, two in one, or what is asked."""
     small, large = (ternary(np.random.default_rng(0), order=order) for order in (1, 3))
     thrice = {name: np.concatenate([getattr(large, name)] * 3) for name in ("shape_link", "shape_start", "shape_end")}
     large = large.with_(**thrice, shape_radius=np.concatenate([large.shape_radius] * 3))
