@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,9 @@ from ..base.types import Array, IntArray
 from ..trees.tree import Tree
 
 if TYPE_CHECKING:
-    from .simulator import Simulator
+    from .arrays import LaneArray
+    from .model import Model
+    from .state import State
 
 #: States kept of every world.
 KEPT = 100
@@ -32,10 +35,18 @@ class LastStates:
     It takes 7 numbers a link, state and world: 1.1 MiB for 100 states of 10 worlds of 40 links in float32.
     """
 
-    def __init__(self, simulator: Simulator, count: int = KEPT) -> None:
-        m = simulator.model
+    def __init__(self, model: Model, state: State, about: Callable[[int], dict[str, Any]], count: int = KEPT) -> None:
+        """Allocate the ring.
+
+        Args:
+            model: The worlds.
+            state: What moves of them.
+            about: Returns what else a world's steps depend on, arrays and numbers by name.
+            count: States of every world.
+        """
+        m = model
         kind: Any = wp.float64 if m.precision == 64 else wp.float32
-        self._simulator, self._size = simulator, count
+        self._model, self._state, self._about, self._size = model, state, about, count
         shape = (count * m.groups, m.places + 1)
         self._coordinate, self._velocity = (
             wp.zeros((*shape, n, m.width), dtype=kind, device=m.device) for n in (4, 3)
@@ -52,7 +63,7 @@ class LastStates:
 
     def note(self) -> None:
         """Keep the present state of the worlds that are alive; nothing of it goes by the host."""
-        s, m = self._simulator.state, self._simulator.model
+        s, m = self._state, self._model
         given = [s.alive.entries(), s.coordinate.entries(), s.velocity.entries()]
         inputs = [self._size, m.groups, self._written, s._tick, *given, self._tick, self._coordinate, self._velocity]
         wp.launch(self._kernels.keep, dim=(m.groups, m.places + 1), inputs=inputs, device=m.device)
@@ -61,14 +72,14 @@ class LastStates:
     def write(self, folder: Path) -> list[Path]:
         """Write a file for each frozen world into an existing folder; return them."""
         out = []
-        for world, link, tick in self._simulator.state.faults():
+        for world, link, tick in self._state.faults():
             out.append(folder / f"world_{world:04d}.npz")
             np.savez_compressed(out[-1], **self._record(world, link, tick))
         return out
 
     def _record(self, world: int, link: str, tick: int) -> dict[str, Any]:
         """Return all that a world's last states and its model are made of."""
-        sim, m = self._simulator, self._simulator.model
+        m = self._model
         tree, (a, b) = m.trees[world], m.first_link[world : world + 2]
         group, lane = divmod(int(m.world_slot[world]), m.width)
         place = torch.as_tensor(m.link_place[a:b])
@@ -79,18 +90,20 @@ class LastStates:
             kept: torch.Tensor = wp.to_torch(ring).cpu()
             return np.asarray(kept.reshape(self._size, m.groups, *kept.shape[1:])[order, group][:, place, :, lane])
 
-        def own(array: Any) -> Array:
-            return np.asarray(array.torch.cpu()[group, lane, place])
-
-        effects = {f"effect {n} {p}": t[world].cpu().numpy() for n, e in sim.effects.items() for p, t in e.items()}
         return {
             "format": FORMAT, "world": world, "name": tree.name, "link_name": np.array(tree.link_name), "link": link,
             "fault_tick": tick, "tick": ticks[order].numpy(), "coordinate": last(self._coordinate),
-            "velocity": last(self._velocity), "dt": sim.dt, "substeps": sim.substeps, "max_speed": sim.max_speed,
-            "precision": m.precision, "gravity": m.gravity, "damping in effect": own(sim._damping),
-            "limit": own(sim._limit), **{f"tree {name}": getattr(tree, name) for name in _TREE},
-            **{f"array {name}": own(array) for name, array in m.arrays.items()}, **effects,
+            "velocity": last(self._velocity), "precision": m.precision, "gravity": m.gravity,
+            **{f"tree {name}": getattr(tree, name) for name in _TREE},
+            **{f"array {name}": of_world(m, array, world) for name, array in m.arrays.items()}, **self._about(world),
         }  # fmt: skip
+
+
+def of_world(model: Model, array: LaneArray, world: int) -> Array:
+    """Return a world's part of an array over a model's places, on the host, shape [links, components]."""
+    a, b = model.first_link[world : world + 2]
+    group, lane = divmod(int(model.world_slot[world]), model.width)
+    return np.asarray(array.torch.cpu()[group, lane, torch.as_tensor(model.link_place[a:b])])
 
 
 @dataclass(frozen=True)

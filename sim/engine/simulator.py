@@ -21,7 +21,7 @@ from ..base.thread_pool import recorded
 from ..base.types import Array, IntArray
 from .arrays import integer_array
 from .forest_effects import ForestEffects
-from .last_states import KEPT, LastStates
+from .last_states import KEPT, LastStates, of_world
 from .launcher import Launcher, Recorded
 from .load import Load
 from .model import Model
@@ -169,8 +169,17 @@ class Simulator:
 
     def keep_last(self, count: int = KEPT) -> LastStates:
         """Keep the states before the last ``count`` calls of `step` from now on, for worlds that are frozen."""
-        self._last = LastStates(self, count)
+        self._last = LastStates(self.model, self.state, self._about, count)
         return self._last
+
+    def _about(self, world: int) -> dict[str, Any]:
+        """Return what a world's steps depend on beside its model and state."""
+        own = {"damping in effect": self._damping, "limit": self._limit}
+        effects = {f"effect {n} {p}": t[world].cpu().numpy() for n, e in self.effects.items() for p, t in e.items()}
+        return {
+            "dt": self.dt, "substeps": self.substeps, "max_speed": self.max_speed, **effects,
+            **{name: of_world(self.model, array, world) for name, array in own.items()},
+        }  # fmt: skip
 
     def step(self, count: int = 1) -> None:
         """Advance all worlds by ``count`` steps of ``dt``; inside a graph capture, in one launch that it records."""
