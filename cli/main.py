@@ -25,6 +25,7 @@ from .hide import Hide
 from .identify import Identify
 from .info import Info
 from .play import Play
+from .replay import Replay
 from .reproduce import Reproduce
 from .simulate import Simulate
 from .train import Train
@@ -38,6 +39,7 @@ Command = (
     Annotated[Info, tyro.conf.subcommand("info")]
     | Annotated[Forest, tyro.conf.subcommand("forest")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
+    | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Identify, tyro.conf.subcommand("identify")]
     | Annotated[Hide, tyro.conf.subcommand("hide")]
     | Annotated[Diagnose, tyro.conf.subcommand("diagnose")]

@@ -11,7 +11,7 @@ import tyro
 
 from ..sim.base.console import shown, start_warp, warn
 from ..sim.base.errors import InputError, check_seed
-from ..sim.base.files import check_regular, output_folder, read_text
+from ..sim.base.files import check_output, check_regular, output_folder, read_text
 from ..sim.engine.stepping import Stepping
 from ..sim.formats.load import load_mechanism
 from .exit_codes import ExitCode
@@ -52,6 +52,8 @@ class Simulate:
         seed: Seed of --bend.
         effect: An effect that acts in all worlds alike, NAME:PARAMETER=VALUE[,PARAMETER=VALUE...] in SI units, such as
             dry_friction:torque_Nm=0.05; once for each effect. Laws at joints act at all of them, tip_mass at all tips.
+        dump_faults: Write the last hundred states of every world of a file's tree that is frozen into this folder, a
+            file each for bough replay.
     """
 
     source: tyro.conf.Positional[Path]
@@ -67,6 +69,7 @@ class Simulate:
     device: str | None = None
     seed: int = 0
     effect: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    dump_faults: Path | None = None
 
     @property
     def stepping(self) -> Stepping:
@@ -105,6 +108,8 @@ def simulate_file(options: Simulate) -> Trajectory:
     check(options)
     if options.model is not None:
         raise InputError("--model", "", str(options.model), "only with a case folder")
+    if options.dump_faults is not None:
+        check_output(options.dump_faults)
     with output_folder(options.out) as folder:
         mechanism = load_mechanism(options.source, _ALLOWED)
         for line in mechanism.ignored:
@@ -123,9 +128,13 @@ def simulate_file(options: Simulate) -> Trajectory:
         from ..sim.engine.trajectory import record
         from ..sim.pictures.figures import trajectory_figure
 
+        last = None if options.dump_faults is None else simulator.keep_last()
         trajectory = record(simulator, steps)
         trajectory.save(folder / "trajectory.npz")
         trajectory_figure(mechanism.tree, trajectory).savefig(folder / "trajectory.png", dpi=150)
+        if last is not None and options.dump_faults is not None:
+            with output_folder(options.dump_faults) as faults:
+                last.write(faults)
     return trajectory
 
 
@@ -156,6 +165,8 @@ def check(options: Simulate) -> None:
     need(options.worlds is None or options.worlds >= 1, "--worlds", options.worlds, "1 or more")
     need(0.0 <= options.bend <= math.pi, "--bend", options.bend, "0 to pi")
     check_seed("", options.seed)
+    faults = options.dump_faults
+    need(faults is None or not options.source.is_dir(), "--dump-faults", f"{faults} with a case", "a tree's file")
     need(options.qpos is None or options.bend == 0.0, "--bend", f"{options.bend:g} and --qpos", "one of the two")
 
 

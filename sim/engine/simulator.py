@@ -21,6 +21,7 @@ from ..base.thread_pool import recorded
 from ..base.types import Array, IntArray
 from .arrays import integer_array
 from .forest_effects import ForestEffects
+from .last_states import KEPT, LastStates, of_world
 from .launcher import Launcher, Recorded
 from .load import Load
 from .model import Model
@@ -81,6 +82,7 @@ class Simulator:
         self._steps: dict[tuple[int, bool], Callable[[], None]] = {}
         self._looking: dict[bool, Callable[[], None]] = {}
         self._load: Load | None = Load(model) if effects else None
+        self._last: LastStates | None = None
         self._index_slots()
         self._allocate_outputs()
         self._start = {name: model.field(kind) for name, kind in (("coordinate", "Quat"), ("velocity", "Vec"))}
@@ -165,8 +167,24 @@ class Simulator:
         held = (self._limit.torch[..., 0] < self.max_speed).any(-1).reshape(-1)
         return int(held[torch.as_tensor(self.model.world_slot, device=held.device)].sum())
 
+    def keep_last(self, count: int = KEPT) -> LastStates:
+        """Keep the states before the last ``count`` calls of `step` from now on, for worlds that are frozen."""
+        self._last = LastStates(self.model, self.state, self._about, count)
+        return self._last
+
+    def _about(self, world: int) -> dict[str, Any]:
+        """Return what a world's steps depend on beside its model and state."""
+        own = {"damping in effect": self._damping, "limit": self._limit}
+        effects = {f"effect {n} {p}": t[world].cpu().numpy() for n, e in self.effects.items() for p, t in e.items()}
+        return {
+            "dt": self.dt, "substeps": self.substeps, "max_speed": self.max_speed, **effects,
+            **{name: of_world(self.model, array, world) for name, array in own.items()},
+        }  # fmt: skip
+
     def step(self, count: int = 1) -> None:
         """Advance all worlds by ``count`` steps of ``dt``; inside a graph capture, in one launch that it records."""
+        if self._last is not None:
+            self._last.note()
         key = (count, not self.model.device.is_capturing)
         if key not in self._steps:
             self._steps[key] = self._prepare_step(count, split=key[1])
@@ -188,6 +206,8 @@ class Simulator:
         step = self._prepare_step(count, split=False)
         look = self._prepare_look(split=False)
         with wp.ScopedCapture(device=self.model.device) as scope:
+            if self._last is not None:
+                self._last.note()
             step()
             look()
 

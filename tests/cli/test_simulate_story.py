@@ -96,6 +96,30 @@ def test_mjcf_and_urdf_of_one_tree_move_alike(inside, forest):
     np.testing.assert_allclose(a["body_pos"], b["body_pos"], atol=1e-9)
 
 
+def test_a_fault_is_replayed(bough, inside, tmp_path):
+    """Dump what a frozen world did last, replay it: same link, time and substep, and the way there.
+
+    Gravity of 1e7 m/s^2 turns an upright pendulum: it moves for some steps before it is too fast.
+    """
+    (tmp_path / "arm.xml").write_text(PENDULUM.format(gravity=-1e7))
+    (tmp_path / "start.txt").write_text("0  # hangs still\n3.1415926\n")
+    options = ("--qpos", "start.txt", "--seconds", 0.1, "--substeps", 2, "--out", "some", "--dump-faults", "faults")
+    done = inside("simulate", "arm.xml", *options)
+    assert done.code == 0
+    frozen = float(np.load("some/trajectory.npz")["frozen_time"][1])
+    assert [p.name for p in (tmp_path / "faults").iterdir()] == ["world_0001.npz"]
+    replayed = bough("replay", "faults/world_0001.npz")
+    assert replayed.code == 0, replayed.err
+    *table, end = replayed.out.splitlines()
+    assert f"world 1 was lost at {frozen:.6g} s" in end and "link arm" in end and "faster than" in end
+    assert len(table) > 2 and all(line.split()[-1] == "0" for line in table[1:])
+    inside("replay", "nowhere.npz").refused("nowhere.npz", "no such file")
+    inside("replay", "arm.xml").refused("arm.xml", "no archive of arrays")
+    (tmp_path / "case").mkdir()
+    inside("simulate", "case", "--out", "x", "--dump-faults", "y").refused("--dump-faults", "a tree's file")
+    inside("simulate", "arm.xml", "--out", "x", "--dump-faults", "arm.xml").refused("arm.xml", "a file")
+
+
 def test_substeps_are_smaller_steps(inside, tmp_path):
     """Take 10 steps of 4 substeps: the same as every fourth of 40 steps a quarter as long."""
     (tmp_path / "arm.xml").write_text(PENDULUM.format(gravity=-9.81))

@@ -348,13 +348,14 @@ def test_a_full_buffer_is_counted():
 
 
 def test_room_grows_with_the_scene():
-    """Give small trees room for 32 contacts, larger ones for one in two capsules, and what is asked for."""
+    """Give small trees room for 32 contacts, larger ones for one in two capsules, two in one, or what is asked."""
     small, large = (ternary(np.random.default_rng(0), order=order) for order in (1, 3))
     thrice = {name: np.concatenate([getattr(large, name)] * 3) for name in ("shape_link", "shape_start", "shape_end")}
     large = large.with_(**thrice, shape_radius=np.concatenate([large.shape_radius] * 3))
     assert len(large.shape_link) == 120 and len(RADIUS) == 10
     for given, trees, room in ((None, [small], 32), (None, [small, large], 65), (7, [large], 7)):
         assert simulator(trees, contacts={"capacity": given})._touch.record.shape == (len(trees), room)
+    assert simulator([large], contacts={"branch_branch": True})._touch.record.shape == (1, 260)
 
 
 def test_random_scenes_lose_no_world():
