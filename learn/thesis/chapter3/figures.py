@@ -64,7 +64,7 @@ def calls_figure(
     for k, ((title, curves), (left, right)) in enumerate(
         zip(panels.items(), figure.subplots(len(panels), 2, squeeze=False, sharex=True), strict=True)
     ):
-        for (name, (calls, distance, width)), colour in zip(curves.items(), _COLOURS, strict=True):
+        for (name, (calls, distance, width)), colour in zip(curves.items(), _COLOURS, strict=False):
             style, thousand = "s--" if "MH" in name else "o-", np.asarray(calls) / 1000
             left.plot(thousand, distance, style, color=colour, markersize=4, label=name if k == 0 else None)
             right.plot(thousand, 1000 * np.asarray(width), style, color=colour, markersize=4)
