@@ -405,13 +405,15 @@ def _figures(found: Findings) -> list[ReportFigure]:
 
 
 def _baseline_figure(found: Findings) -> Figure:
-    bench, bands, width = found.benches[0], {}, {}
+    bench, width = found.benches[0], {}
+    bands: dict[str, dict[str, tuple[Array, Array]]] = {}
     vertical = DISPLACEMENT.index(2)
     for e in found.entries:
         if e.branch == 0 and e.share == 1.0:
             low, high = bench.predictive(e.theta)
             name = f"{e.method}, {e.origin}"
-            bands[name] = (low[0, :, vertical].cpu().numpy(), high[0, :, vertical].cpu().numpy())
+            ends = (low[0, :, vertical].cpu().numpy(), high[0, :, vertical].cpu().numpy())
+            bands.setdefault(e.origin, {})[name] = ends
             width[name] = e.scores.width
     truth = bench.displacement[0, :, vertical].cpu().numpy()
     return figures.baseline_figure(bench.unseen[0].t, truth, bands, width=width)

@@ -309,6 +309,13 @@ def test_table_and_figures_of_made_up_runs():
     assert len(figures.sweep_figure((0.01, 1.0), wide, wide, wide, (70, 200), gains).axes) == 3
     curve = ([1e3, 2e3], [3.0, 2.0], [0.01, 0.002])
     drawn = figures.calls_figure({"from the prior": {"SVGD": curve}, "from the modes": {"SVGD": curve}}, reference=1.3)
+    names = [f"{name}, {origin}" for origin in baselines.ORIGINS for name in "abcde"]
+    band = (np.zeros(3), np.ones(3))
+    groups = {o: {n: band for n in names if o in n} for o in baselines.ORIGINS}
+    bands = figures.baseline_figure(np.arange(3.0), np.ones(3), groups, width=dict.fromkeys(names, 0.1))
+    assert [ax.get_title().split("\n")[0] for ax in bands.axes[::2]] == names
+    rows = [ax.get_subplotspec().rowspan.start // 2 for ax in bands.axes[::2]]
+    assert rows == [0, 0, 0, 0, 1, 2, 2, 2, 2, 3]  # the second kind of start begins on a row of its own
     assert len(drawn.axes) == 4 and "R-hat 1.3" in drawn.axes[0].get_title()
 
 
