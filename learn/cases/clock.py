@@ -130,8 +130,9 @@ def check_clock(timed: Timed, sample_rate: float | None = None) -> float:
     step = mean if abs(mean - typical) <= slack else typical
     wrong = np.abs(steps - step) > slack
     if wrong.any():
-        _check_gap(timed, steps)
         i = int(np.argmax(wrong))
+        if steps[i] >= GAP * typical:
+            raise _gap(timed, steps, i)
         found = f"a step of {steps[i]:.9g} s"
         allowed = (
             f"{typical:.9g} s as elsewhere (uniform sampling, times with enough decimals), or "
@@ -167,7 +168,10 @@ def resampled(timed: Timed, rate: float) -> Timed:
             fewer than `MIN_ROWS` samples, or more than fit into memory.
     """
     t, columns = timed.t, timed.columns
-    _check_gap(timed, _increasing(timed))
+    steps = _increasing(timed)
+    long = steps >= GAP * np.median(steps)
+    if long.any():
+        raise _gap(timed, steps, int(np.argmax(long)))
     samples = (t[-1] - t[0]) * rate
     # the grid, a column more at a time, and the arrays that a trajectory is made of
     needed = 8.0 * samples * (3 * len(columns.names) + 1)
@@ -180,18 +184,15 @@ def resampled(timed: Timed, rate: float) -> Timed:
     return replace(timed, t=grid, values=values, rounding=4.0 * float(np.spacing(np.abs(grid).max())), moved=True)
 
 
-def _check_gap(timed: Timed, steps: Array) -> None:
-    """Refuse a clock with a gap, and say which rows lie on either side of it."""
-    typical = float(np.median(steps))
-    if steps.max() < GAP * typical:
-        return
-    i, columns = int(np.argmax(steps)), timed.columns
+def _gap(timed: Timed, steps: Array, i: int) -> InputError:
+    """Name a gap after sample ``i`` in a clock with these steps [s], and the rows on either side of it."""
+    typical, columns = float(np.median(steps)), timed.columns
     first = columns.first_row
     parts = [(first, first + i + 1), (first + i + 1, first + len(timed.t))]
     listed = " and ".join(f"rows: [{a}, {b}]" for a, b in parts if b - a >= MIN_ROWS)
     allowed = f"less than {GAP:g} steps of {typical:.9g} s between neighbours; cut there by {listed} in meta.yaml"
     found = f"a step of {steps[i]:.9g} s, a gap in the clock"
-    raise InputError(columns.path, columns.place(i + 1, timed.name), found, allowed)
+    return InputError(columns.path, columns.place(i + 1, timed.name), found, allowed)
 
 
 def _increasing(timed: Timed) -> Array:

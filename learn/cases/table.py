@@ -177,7 +177,7 @@ def _explained(table: Table, column: int, row: int, clock: int, start: int, stop
     """Say what is wrong with a cell that is no number, and what mends it; ``clock`` is the clock's column."""
     text = table.cells(row)[column]
     found = f"'{text}'" if text else "an empty cell"
-    if not text and all(not table.cells(r)[column] for r in range(row, stop)):
+    if not text and all(not "".join(table.cells(r)[column : column + 1]) for r in range(row, stop)):
         cut = f"rows: [{start}, {row}] in meta.yaml, which is where all of them go on"
         allowed = f"columns of equal length, or {cut}" if row - start >= 3 else "a column of numbers"
         return f"{found}, and so to the end", allowed

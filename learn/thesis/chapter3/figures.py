@@ -19,22 +19,23 @@ _COLOURS = (MODEL, NOISE, ALARM, "#56B4E9", "#E69F00", THESIS, MEASURED, "#8C6D3
 
 @styled
 def baseline_figure(
-    t: Array, truth: Array, bands: Mapping[str, tuple[Array, Array]], *, width: Mapping[str, float]
+    t: Array, truth: Array, groups: Mapping[str, Mapping[str, tuple[Array, Array]]], *, width: Mapping[str, float]
 ) -> Figure:
-    """Draw the 95 % bands of several methods about the truth (figure 3.5).
+    """Draw the 95 % bands of several methods about the truth (figure 3.5), each kind of start on rows of its own.
 
     Args:
         t: Times [s], shape [T].
         truth: True vertical displacement of one unseen trajectory [m], shape [T].
-        bands: Low and high end by method, shapes [T].
-        width: Mean width of each band over all unseen trajectories [m], for the title.
+        groups: Low and high end by kind of start and method, shapes [T].
+        width: Mean width of each band over all unseen trajectories [m] by title, kind of start and method.
     """
     columns = 4
-    rows = -(-len(bands) // columns)
-    figure = Figure(figsize=(WIDTH, 0.5 + 3.6 * rows), layout="constrained")
+    places = [(sum(-(-len(g) // columns) for g in list(groups.values())[:n]) + k // columns, k % columns, name, band)
+              for n, group in enumerate(groups.values()) for k, (name, band) in enumerate(group.items())]  # fmt: skip
+    rows = places[-1][0] + 1
+    figure = Figure(figsize=(WIDTH, 0.5 + 3.0 * rows), layout="constrained")
     grid = figure.add_gridspec(2 * rows, columns, height_ratios=[2.0, 1.0] * rows)
-    for k, (name, (low, high)) in enumerate(bands.items()):
-        i, j = divmod(k, columns)
+    for i, j, name, (low, high) in places:
         upper, lower = figure.add_subplot(grid[2 * i, j]), figure.add_subplot(grid[2 * i + 1, j])
         upper.fill_between(t, 100 * low, 100 * high, color=FAINT, linewidth=0)
         upper.plot(t, 100 * truth, color=ALARM, linewidth=1.0)
@@ -64,7 +65,7 @@ def calls_figure(
     for k, ((title, curves), (left, right)) in enumerate(
         zip(panels.items(), figure.subplots(len(panels), 2, squeeze=False, sharex=True), strict=True)
     ):
-        for (name, (calls, distance, width)), colour in zip(curves.items(), _COLOURS, strict=True):
+        for (name, (calls, distance, width)), colour in zip(curves.items(), _COLOURS, strict=False):
             style, thousand = "s--" if "MH" in name else "o-", np.asarray(calls) / 1000
             left.plot(thousand, distance, style, color=colour, markersize=4, label=name if k == 0 else None)
             right.plot(thousand, 1000 * np.asarray(width), style, color=colour, markersize=4)

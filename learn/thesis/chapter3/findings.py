@@ -61,7 +61,7 @@ class Options:
         sweep = 2 * len(prior.TEMPERATURES) * self.branches + len(prior.ETAS)
         return {
             "table 3.1, figure 3.6": sweep,
-            "SVGD by the letter": literal.SEEDS * (1 + len(literal.ETAS)) + 3,
+            "SVGD by the letter": literal.SEEDS * len(literal.BOX_SIGMAS) * (1 + len(literal.ETAS)) + 3,
             "figure 3.5": compared,
             "figures 3.7 to 3.9": len(robust.NOISES) + len(robust.TESTED_AT) + len(robust.STAND_INS),
             "cost": len(cost.TIMES) + len(cost.TRAJECTORIES) + len(cost.SEGMENTS),
@@ -77,7 +77,7 @@ class Findings:
         benches: The simulated branches.
         pairs: Runs of every branch at every temperature without and with the inequality prior.
         etas: The first branch with other sharpnesses of the prior.
-        letter: SVGD by the letter, by eta (None: without the prior), by branch, at every mark.
+        letter: SVGD by the letter, by its box and eta (None: without the prior), by branch, at every mark.
         letter_studies: Figures 3.7, 3.8 and 3.9 by the letter.
         entries: Samplers at equal calls.
         references: What stands for the posterior of every branch.
@@ -90,7 +90,7 @@ class Findings:
     benches: list[Bench]
     pairs: list[prior.Pair] = field(default_factory=list)
     etas: list[prior.Pair] = field(default_factory=list)
-    letter: dict[float | None, list[list[Scores]]] = field(default_factory=dict)
+    letter: dict[literal.Variant, list[list[Scores]]] = field(default_factory=dict)
     letter_studies: dict[str, list[literal.LiteralStudy]] = field(default_factory=dict)
     entries: list[baselines.Entry] = field(default_factory=list)
     references: list[baselines.Reference] = field(default_factory=list)

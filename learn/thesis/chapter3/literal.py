@@ -7,7 +7,7 @@ followed by Adam with a step of 3.0 (3.5.1, table A.1) for as many iterations as
 The inequality prior is eq. 3.17 in N m/rad, learnt by the one-hidden-layer network.
 
 What the thesis leaves open is chosen here: eta, Adam's other numbers (torch's), and the box's sigma, with the Normal
-tails of GPyTorch's code. That sigma decides whether the letter's algorithm moves at all, see `BOX_SIGMA`.
+tails of GPyTorch's code. That sigma decides whether the letter's algorithm moves freely, see `BOX_SIGMAS`.
 """
 
 from __future__ import annotations
@@ -30,19 +30,20 @@ from .robust import GRASP_NOISE, STAND_IN_NOISE, STAND_INS, TESTED_AT, TRAINED_A
 
 STEP, SPACING = 3.0, 0.5
 """Adam's step and the finite-difference spacing (table A.1) [N m/rad, N m s/rad]."""
-BOX_SIGMA = 1.0
-"""Deviation of the smoothed box's tails [N m/rad]. With GPyTorch's default, 0.01, one particle that Adam's first step
-puts 3 outside has a gradient of 30,000; the kernel hands a share of it to all others, and it stays in Adam's second
-moment for a thousand iterations, in which nothing moves any more."""
+BOX_SIGMAS = (0.01, 1.0)
+"""Deviations of the smoothed box's tails [N m/rad]; the first is GPyTorch's default. With it one particle that Adam's
+first step puts 3 outside has a gradient of 30,000; the kernel hands a share of it to all others, and it stays in Adam's
+second moment for a thousand iterations, in which steps are far below 3. With the second they are not."""
 LEAST = 0.05
 """Springs and dampers are simulated as at least this: a particle outside the box may be below zero."""
 SEEDS = 5
 """Branches, each with starts of its own, that the gain of the prior is measured on."""
 MARKS = (70, 200)
 """Iterations at which a run is scored: the thesis's for R = 3, and its longest."""
-ETAS = (10.0, 100.0, 1000.0)
+ETAS = (10.0, 100.0)
 """Sharpness of eq. 3.17 per N m/rad; the thesis does not state its own."""
-STUDY_ETA = 10.0
+STUDY = (1.0, 10.0)
+"""The box and the sharpness of figures 3.7 to 3.9: particles that move."""
 STUDY_KT = {1: 1 / 20, 2: 1 / 40}
 """Temperature by number of segments (tables A.1 and A.2)."""
 STUDY_ITERATIONS = 90
@@ -52,16 +53,22 @@ _FOLD = BOX[1] / POSITION
 """Eq. 3.17 doubles with its arguments: the network, trained up to `POSITION`, serves the box in this unit."""
 
 
+Variant = tuple[float, float | None]
+"""Deviation of the box's tails, and the sharpness of eq. 3.17 or None without it."""
+
+
 @dataclass(frozen=True)
 class Gain:
     """What the prior of sharpness ``eta`` gains after some iterations, over seeds: without over with it.
 
     Attributes:
+        sigma: Deviation of the box's tails [N m/rad].
         eta: Sharpness, per N m/rad.
         iterations: Iterations.
         width, nll: Ratios of every seed, shapes [S].
     """
 
+    sigma: float
     eta: float
     iterations: int
     width: np.ndarray
@@ -97,13 +104,14 @@ def direction(x: torch.Tensor, gradient: torch.Tensor) -> torch.Tensor:
     return (k.T @ gradient + repulsion) / len(x)
 
 
-def log_prior(x: torch.Tensor, pairs: Sequence[tuple[int, int]], eta: float | None) -> torch.Tensor:
-    """Return the smoothed box's log density and, with ``eta``, eq. 3.17's, at springs and dampers [..., D]."""
-    box = -((x - x.clamp(*BOX)) ** 2).sum(-1) / (2.0 * BOX_SIGMA**2)
+def log_prior(x: torch.Tensor, pairs: Sequence[tuple[int, int]], variant: Variant) -> torch.Tensor:
+    """Return the smoothed box's log density and, with an eta, eq. 3.17's, at springs and dampers [..., D]."""
+    sigma, eta = variant
+    box = -((x - x.clamp(*BOX)) ** 2).sum(-1) / (2.0 * sigma**2)
     return box if eta is None or not pairs else box + _FOLD * InequalityPrior(pairs, eta).to(x.device)(x / _FOLD)
 
 
-def gradient(target: Target, x: torch.Tensor, eta: float | None) -> torch.Tensor:
+def gradient(target: Target, x: torch.Tensor, variant: Variant) -> torch.Tensor:
     """Return the gradient [P, D] of the log posterior at springs and dampers [P, D]; zero where a world diverges."""
     offsets = SPACING * torch.eye(x.shape[1]).to(x)
     points = torch.cat([x[:, None] + offsets, x[:, None] - offsets], 1)
@@ -113,11 +121,11 @@ def gradient(target: Target, x: torch.Tensor, eta: float | None) -> torch.Tensor
     leaf = x.detach().clone().requires_grad_()
     pairs = chain_pairs([p.name for p in target.system.parameters])
     with torch.enable_grad():
-        (own,) = torch.autograd.grad(log_prior(leaf, pairs, eta).sum(), leaf)
+        (own,) = torch.autograd.grad(log_prior(leaf, pairs, variant).sum(), leaf)
     return torch.nan_to_num((ahead - behind) / (2.0 * SPACING)) + own
 
 
-def follow(target: Target, eta: float | None, *, particles: int, marks: Sequence[int], seed: int) -> list[torch.Tensor]:
+def follow(target: Target, variant: Variant, *, particles: int, marks: Sequence[int], seed: int) -> list[torch.Tensor]:
     """Run the letter's SVGD and return the particles after each number of iterations, springs and dampers [P, D]."""
     generator = torch.Generator().manual_seed(seed)
     start = torch.rand(particles, target.num_parameters, generator=generator, dtype=torch.float64)
@@ -125,7 +133,7 @@ def follow(target: Target, eta: float | None, *, particles: int, marks: Sequence
     optimiser = torch.optim.Adam([x], lr=STEP)
     out = []
     for k in range(1, max(marks) + 1):
-        x.grad = -direction(x, gradient(target, x, eta))
+        x.grad = -direction(x, gradient(target, x, variant))
         optimiser.step()
         if k in marks:
             out.append(x.detach().clone())
@@ -135,8 +143,8 @@ def follow(target: Target, eta: float | None, *, particles: int, marks: Sequence
 def table_3_1(
     folder: Path, benches: Sequence[Bench], seeds: int, *, particles: int, marks: Sequence[int], unseen: int, seed: int,
     advance: Advance,
-) -> dict[float | None, list[list[Scores]]]:  # fmt: skip
-    """Run the letter's SVGD on branches with starts of their own, without (None) and with the inequality prior.
+) -> dict[Variant, list[list[Scores]]]:  # fmt: skip
+    """Run the letter's SVGD on branches with starts of their own, without and with the inequality prior.
 
     Args:
         folder: Where cases of branches beyond ``benches`` are written.
@@ -149,27 +157,27 @@ def table_3_1(
         advance: Called after each run.
 
     Returns:
-        Scores by eta, lists over branches of lists over marks.
+        Scores by variant, lists over branches of lists over marks.
     """
-    out: dict[float | None, list[list[Scores]]] = {eta: [] for eta in (None, *ETAS)}
+    out: dict[Variant, list[list[Scores]]] = {(sigma, eta): [] for sigma in BOX_SIGMAS for eta in (None, *ETAS)}
     for k in range(seeds):
         bench = benches[k] if k < len(benches) else Bench(folder / f"literal_{k}", seed + k, unseen=unseen)
-        for eta, scores in out.items():
-            found = follow(bench.target(), eta, particles=particles, marks=marks, seed=seed + k)
+        for variant, scores in out.items():
+            found = follow(bench.target(), variant, particles=particles, marks=marks, seed=seed + k)
             scores.append([bench.score(x.clamp(min=LEAST).log()) for x in found])
             advance()
     return out
 
 
-def gains(scores: dict[float | None, list[list[Scores]]], marks: Sequence[int]) -> list[Gain]:
-    """Return the ratios without over with the prior, seed by seed, for every eta and mark."""
+def gains(scores: dict[Variant, list[list[Scores]]], marks: Sequence[int]) -> list[Gain]:
+    """Return the ratios without over with the prior, seed by seed, for every box, eta and mark."""
 
-    def ratio(eta: float | None, m: int, name: str) -> np.ndarray:
-        pairs = zip(scores[None], scores[eta], strict=True)
+    def ratio(sigma: float, eta: float, m: int, name: str) -> np.ndarray:
+        pairs = zip(scores[sigma, None], scores[sigma, eta], strict=True)
         return np.array([getattr(a[m], name) / getattr(b[m], name) for a, b in pairs])
 
-    return [Gain(eta, mark, ratio(eta, m, "width"), ratio(eta, m, "nll"))
-            for eta in scores if eta is not None for m, mark in enumerate(marks)]  # fmt: skip
+    return [Gain(sigma, eta, mark, ratio(sigma, eta, m, "width"), ratio(sigma, eta, m, "nll"))
+            for sigma, eta in scores if eta is not None for m, mark in enumerate(marks)]  # fmt: skip
 
 
 def interval(ratios: np.ndarray) -> tuple[float, float, float]:
@@ -198,7 +206,7 @@ class _Letter:
     def learn(self, train: Sequence[Recording]) -> torch.Tensor:
         """Return particles, logarithms of springs and dampers [P, D]."""
         target = self._target(train)
-        x = follow(target, STUDY_ETA, particles=self.particles, marks=(self.iterations,), seed=self.seed)[0]
+        x = follow(target, STUDY, particles=self.particles, marks=(self.iterations,), seed=self.seed)[0]
         return x.clamp(min=LEAST).log()
 
     def held_out(self, label: str, theta: torch.Tensor, test: Sequence[Recording]) -> LiteralStudy:

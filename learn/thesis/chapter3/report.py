@@ -108,21 +108,23 @@ def _gains(label: str, pairs: Sequence[Pair]) -> tuple[object, ...]:
 def _letter(found: Findings) -> ReportTable:
     gains = literal.gains(found.letter, found.options.marks)
     rows: list[tuple[object, ...]] = []
-    for eta, branches in found.letter.items():
+    for (sigma, eta), branches in found.letter.items():
         for m, mark in enumerate(found.options.marks):
             own = [scores[m] for scores in branches]
-            gain = next((g for g in gains if (g.eta, g.iterations) == (eta, mark)), None)
-            label = f"{'box alone' if eta is None else f'eta {eta:g}'}, {mark} iterations"
+            gain = next((g for g in gains if (g.sigma, g.eta, g.iterations) == (sigma, eta, mark)), None)
+            label = f"box of sigma {sigma:g}, {'alone' if eta is None else f'eta {eta:g}'}, {mark} iterations"
             ratios = ("1", "1") if gain is None else (_ratio(gain.width), _ratio(gain.nll))
             rows.append((label, 100 * median(s.width for s in own), 100 * median(s.outside for s in own),
                          median(s.nll for s in own), *ratios))  # fmt: skip
+    count = len(next(iter(found.letter.values())))
     note = (
-        f"{len(found.letter[None])} branches, each with starts of its own, at kT 1/100. Springs and dampers themselves "
-        "(no logarithms), finite differences of 0.5, one Gaussian kernel whose sigma is the median distance, Adam with "
-        "a step of 3.0, eq. 3.17 per N m/rad: the thesis's algorithm, its eta not stated. Width, share and NLL are "
-        "medians; ratios are geometric means of box alone over eta, branch by branch, with a 95 % interval (Student's "
-        f"t). {letter_says(gains)} The NLL says how far the particles are from rest (compare table 3.1): such a width "
-        "is how far they have come, not how much the data say."
+        f"{count} branches, each with starts of its own, at kT 1/100. Springs and dampers themselves (no logarithms), "
+        "finite differences of 0.5, one Gaussian kernel whose sigma is the median distance, Adam with a step of 3.0, "
+        "eq. 3.17 per N m/rad: the thesis's algorithm, its eta and the box's sigma not stated (0.01 is GPyTorch's "
+        "default: a particle that leaves the box then brakes Adam for all). Width, share and NLL are medians; ratios "
+        "are geometric means of box alone over eta, branch by branch, with a 95 % interval (Student's t). "
+        f"{letter_says(gains)} The NLL says how far the particles are from rest (compare table 3.1): such a width is "
+        "how far they have come, not how much the data say."
     )
     header = ("run", "95 % width [cm]", "truth outside [%]", "NLL", "width ratio", "NLL ratio")
     return ReportTable("SVGD by the letter of the thesis", header, rows, note)
@@ -137,11 +139,11 @@ def letter_says(gains: Sequence[literal.Gain]) -> str:
     """Say what the letter's runs allow to conclude about the thesis's factors, from intervals alone."""
     said = []
     for name, factor in (("width", WIDTH_FACTOR), ("nll", NLL_FACTOR)):
-        ends = {(g.eta, g.iterations): literal.interval(getattr(g, name)) for g in gains}
+        ends = {(g.sigma, g.eta, g.iterations): literal.interval(getattr(g, name)) for g in gains}
         gained = [key for key, (_, low, _) in ends.items() if low > 1.0]
         holds = [key for key, (_, low, high) in ends.items() if low <= factor <= high]
         label = {"width": "width", "nll": "NLL"}[name]
-        listed = ", ".join(f"eta {eta:g} at {count}" for eta, count in holds)
+        listed = ", ".join(f"sigma {sigma:g}, eta {eta:g} at {count}" for sigma, eta, count in holds)
         said.append(
             f"{label}: the prior gains beyond doubt in {len(gained)} of {len(ends)} rows; the thesis's {factor:.2f} is "
             + (f"inside the interval of {listed}." if holds else "outside every interval.")
@@ -403,13 +405,15 @@ def _figures(found: Findings) -> list[ReportFigure]:
 
 
 def _baseline_figure(found: Findings) -> Figure:
-    bench, bands, width = found.benches[0], {}, {}
+    bench, width = found.benches[0], {}
+    bands: dict[str, dict[str, tuple[Array, Array]]] = {}
     vertical = DISPLACEMENT.index(2)
     for e in found.entries:
         if e.branch == 0 and e.share == 1.0:
             low, high = bench.predictive(e.theta)
             name = f"{e.method}, {e.origin}"
-            bands[name] = (low[0, :, vertical].cpu().numpy(), high[0, :, vertical].cpu().numpy())
+            ends = (low[0, :, vertical].cpu().numpy(), high[0, :, vertical].cpu().numpy())
+            bands.setdefault(e.origin, {})[name] = ends
             width[name] = e.scores.width
     truth = bench.displacement[0, :, vertical].cpu().numpy()
     return figures.baseline_figure(bench.unseen[0].t, truth, bands, width=width)
@@ -441,7 +445,7 @@ def _sweep_figure(found: Findings) -> Figure:
     without = np.array([[p.without.scores.width for p in found.at(kt)] for kt in TEMPERATURES]).T
     gains: dict[str, list[tuple[float, float, float]]] = {}
     for g in literal.gains(found.letter, found.options.marks):
-        gains.setdefault(f"eta {g.eta:g}", []).append(literal.interval(g.width))
+        gains.setdefault(f"sigma {g.sigma:g}, eta {g.eta:g}", []).append(literal.interval(g.width))
     return figures.sweep_figure(
         TEMPERATURES, by_branch("width_ratio"), by_branch("nll_ratio"), without, found.options.marks, gains
     )

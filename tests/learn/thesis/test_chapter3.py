@@ -11,7 +11,7 @@ import torch
 import tyro
 from bough.cli.reproduce import Reproduce
 from bough.learn.reports.page import KeyNumber, ReportContent, ReportTable, write_report
-from bough.learn.thesis.chapter3 import baselines, literal, prior, robust
+from bough.learn.thesis.chapter3 import baselines, figures, literal, prior, robust
 from bough.learn.thesis.chapter3 import report as chapter3_report
 from bough.learn.thesis.chapter3.bench import KT, Bench, Scores
 from bough.learn.thesis.chapter3.cost import Cost, exponent, linear_fit
@@ -236,13 +236,13 @@ def test_letter_gradient_is_of_springs_not_logarithms(bench):
     """Agree with the published loss taken 0.5 N m/rad either way, one spring at a time, and with the box outside it."""
     target = bench.target()
     x = torch.tensor([[120.0, 60.0, 90.0, 40.0], [210.0, 50.0, 30.0, 20.0]]).double()
-    found = literal.gradient(target, x, None)
+    found = literal.gradient(target, x, (0.5, None))
     for i in range(4):
         step = torch.zeros(4).double()
         step[i] = 0.5
         ends = [target.log_likelihood(target.predict((x + s * step).log()), torch.zeros(2, 0)) for s in (1, -1)]
         wanted = ends[0] - ends[1]
-        wanted[1] -= (10.0 / literal.BOX_SIGMA**2) if i == 0 else 0.0
+        wanted[1] -= (10.0 / 0.5**2) if i == 0 else 0.0
         # one part in 1e3: worlds are packed into other lanes, and losses are single precision
         torch.testing.assert_close(found[:, i], wanted, rtol=1e-3, atol=1e-2)
 
@@ -250,16 +250,16 @@ def test_letter_gradient_is_of_springs_not_logarithms(bench):
 def test_letter_prior_is_eq_3_17_per_newton_metre():
     """Cost eta times the difference where a child is above its parent, nothing where it is below."""
     x = torch.tensor([[150.0, 30.0], [100.0, 130.0], [20.0, 190.0], [60.0, 50.0]]).double()
-    found = literal.log_prior(x, [(0, 1)], 3.0)
-    level = float(literal.log_prior(torch.tensor([199.0, 6.0]).double(), [(0, 1)], 3.0))
+    found = literal.log_prior(x, [(0, 1)], (1.0, 3.0))
+    level = float(literal.log_prior(torch.tensor([199.0, 6.0]).double(), [(0, 1)], (1.0, 3.0)))
     # the network rounds the kink off over some N m/rad
     np.testing.assert_allclose(found - level, [0.0, -90.0, -510.0, 0.0], atol=3.0 * 3.0)
-    assert not literal.log_prior(x, [(0, 1)], None).any()
+    assert not literal.log_prior(x, [(0, 1)], (1.0, None)).any()
 
 
 def test_letter_steps_are_adam_s(bench):
     """Start in the box and move every spring and damper by 3.0 in the first step."""
-    first, second = (literal.follow(bench.target(), 10.0, particles=8, marks=(n,), seed=3)[0] for n in (1, 2))
+    first, second = (literal.follow(bench.target(), (1.0, 10.0), particles=8, marks=(n,), seed=3)[0] for n in (1, 2))
     low, high = literal.BOX
     rng = torch.Generator().manual_seed(3)
     start = low + (high - low) * torch.rand(8, 4, generator=rng, dtype=torch.float64)
@@ -274,7 +274,7 @@ def test_gains_and_their_intervals():
     def scores(widths):
         return [[Scores(w, 0.0, 10.0 * w, (1.0,))] for w in widths]
 
-    (gain,) = literal.gains({None: scores([2.0, 3.0, 4.0]), 10.0: scores([1.0, 2.0, 2.0])}, (70,))
+    (gain,) = literal.gains({(1.0, None): scores([2.0, 3.0, 4.0]), (1.0, 10.0): scores([1.0, 2.0, 2.0])}, (70,))
     np.testing.assert_allclose(gain.width, [2.0, 1.5, 2.0])
     middle, low, high = literal.interval(gain.width)
     wanted = stats.ttest_1samp(np.log(gain.width), 0.0).confidence_interval(0.95)
@@ -285,11 +285,38 @@ def test_gains_and_their_intervals():
 def test_what_the_letter_may_conclude():
     """Call a gain beyond doubt, or the thesis's factor reached, by intervals alone."""
     sure, vague = np.array([1.70, 1.75, 1.73]), np.array([0.8, 1.5, 1.2])
-    said = letter_says([literal.Gain(10.0, 70, vague, vague), literal.Gain(100.0, 200, sure, sure)])
+    said = letter_says([literal.Gain(1.0, 10.0, 70, vague, vague), literal.Gain(1.0, 100.0, 200, sure, sure)])
     assert "width: the prior gains beyond doubt in 1 of 2 rows; the thesis's 1.73 is inside" in said
     assert "eta 100 at 200" in said
     narrow = np.array([1.10, 1.11, 1.12])
-    assert letter_says([literal.Gain(10.0, 70, narrow, narrow)]).count("outside every interval") == 2
+    assert letter_says([literal.Gain(1.0, 10.0, 70, narrow, narrow)]).count("outside every interval") == 2
+
+
+def test_table_and_figures_of_made_up_runs():
+    """Write ratios with their intervals beside the plain run's 1, and draw both kinds of start and every variant."""
+
+    def scores(width):
+        return [[Scores(f * width, 0.0, 1e4 * f * width, (1.0,)) for _ in literal.MARKS] for f in (1.0, 1.1, 0.9)]
+
+    found = Findings(Options(), [])
+    found.letter = {(s, eta): scores(0.1 if eta is None else 0.05) for s in literal.BOX_SIGMAS
+                    for eta in (None, *literal.ETAS)}  # fmt: skip
+    table = chapter3_report._letter(found)
+    assert len(table.rows) == len(literal.MARKS) * len(found.letter)
+    assert {row[-1] for row in table.rows} == {"1", "2.00 (2.00 to 2.00)"}
+    gains = {"eta 10": [(1.2, 1.1, 1.3), (1.5, 0.0, math.inf)]}
+    wide = np.array([[1.0, 1.1], [1.2, 1.3]])
+    assert len(figures.sweep_figure((0.01, 1.0), wide, wide, wide, (70, 200), gains).axes) == 3
+    curve = ([1e3, 2e3], [3.0, 2.0], [0.01, 0.002])
+    drawn = figures.calls_figure({"from the prior": {"SVGD": curve}, "from the modes": {"SVGD": curve}}, reference=1.3)
+    names = [f"{name}, {origin}" for origin in baselines.ORIGINS for name in "abcde"]
+    band = (np.zeros(3), np.ones(3))
+    groups = {o: {n: band for n in names if o in n} for o in baselines.ORIGINS}
+    bands = figures.baseline_figure(np.arange(3.0), np.ones(3), groups, width=dict.fromkeys(names, 0.1))
+    assert [ax.get_title().split("\n")[0] for ax in bands.axes[::2]] == names
+    rows = [ax.get_subplotspec().rowspan.start // 2 for ax in bands.axes[::2]]
+    assert rows == [0, 0, 0, 0, 1, 2, 2, 2, 2, 3]  # the second kind of start begins on a row of its own
+    assert len(drawn.axes) == 4 and "R-hat 1.3" in drawn.axes[0].get_title()
 
 
 def test_tables_are_drawn_and_escaped(tmp_path):
