@@ -89,7 +89,7 @@ def diagnose(
         except InputError:
             keep.close()
             raise
-        from .write import write_diagnosis, write_models  # matplotlib, once there is something to show
+        from .report import write_diagnosis, write_models  # matplotlib, once there is something to show
 
         write_diagnosis(work, found)
         write_models(work, found)

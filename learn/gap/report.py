@@ -1,7 +1,8 @@
-"""The report page of a diagnosis: verdict, key numbers, tables, figures and the next probe."""
+"""What a diagnosis leaves in its folder; its report page: verdict, key numbers, tables, figures and the next probe."""
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Literal
@@ -14,7 +15,8 @@ from ...sim.effects import effect_of, effects
 from ...version import __version__
 from ..cases.case import BranchCase, JointCase
 from ..inference.predict import main_channels
-from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number
+from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number, write_report
+from ..systems.model_file import write_model
 from .consistent import error_name, grows, missed, percent, share, significant, spoken
 from .decide import TIED
 from .diagnosis import Diagnosis, Rival
@@ -41,6 +43,20 @@ GOOD_SENSOR = 30.0
 _P_VALUE = "Probability that the best of all candidates fits this well if the base model is true."
 #: Units for readers: factor from the SI unit, and name.
 _READ = {"m": (100.0, "cm"), "rad": (math.degrees(1.0), "deg"), "rad_per_s": (math.degrees(1.0), "deg/s")}
+
+
+def write_diagnosis(folder: Path, found: Diagnosis) -> Path:
+    """Write ``verdict.json``, the figures and ``report.html`` into an existing folder; return the page's path."""
+    (folder / VERDICT).write_text(json.dumps(found.verdict_file(), indent=2, allow_nan=False) + "\n")
+    return write_report(folder, content(found))
+
+
+def write_models(folder: Path, found: Diagnosis) -> None:
+    """Write ``model.yaml``, and ``posterior.npz`` where there is one, into an existing folder."""
+    if found.model is not None:
+        write_model(folder / "model.yaml", found.model)
+    if found.posterior is not None:
+        found.posterior.save(folder / "posterior.npz")
 
 
 def content(diagnosis: Diagnosis, *, drawn: bool = True) -> ReportContent:
