@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 from bough.learn.gap import figures
 from bough.learn.gap.diagnosis import Diagnosis, Gap, Interval, Rival, Settings, Share
-from bough.learn.gap.report import readable
+from bough.learn.gap.report import readable, write_diagnosis
 from bough.learn.gap.where import grasp_response, joint_torque, locate, noise_seen, parts_of, phases, regime
-from bough.learn.gap.report import write_diagnosis
 from bough.learn.replay.recording import recordings
 from bough.learn.systems.acting import Acting
 
