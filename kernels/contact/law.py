@@ -81,6 +81,7 @@ class ContactRule:
     record: wp.array2d(dtype=Contact)
     count: wp.array(dtype=int)
     overflow: wp.array(dtype=int)
+    forgotten: wp.array(dtype=int)
     unsettled: wp.array(dtype=int)
     depth: wp.array(dtype=wp.float32)
     branch_force: wp.array2d(dtype=wp.vec3)

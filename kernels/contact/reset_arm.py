@@ -14,7 +14,7 @@ __all__ = ["reset_arm_kernel"]
 
 @cache
 def reset_arm_kernel(dof: int) -> Any:
-    """Return the kernel: q <- start, everything else of the arm <- 0, in the masked worlds."""
+    """Return the kernel: q <- start, all else of the arm <- 0 in the masked worlds; contacts without room are kept."""
     t = arm_types(dof)
     ArmState, ArmWork, Row = t.ArmState, t.ArmWork, t.Row
 
@@ -38,6 +38,7 @@ def reset_arm_kernel(dof: int) -> Any:
             k_out.held[w] = Row()
             y_out.lost[w] = 0
             rule.count[w] = 0
+            rule.forgotten[w] += rule.overflow[w]
             rule.overflow[w] = 0
             rule.depth[w] = 0.0
 

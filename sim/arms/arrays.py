@@ -158,7 +158,8 @@ class TouchArrays:
         friction: Coefficient of friction, torch view [worlds].
         line_start, line_end: Ends of the power line's axis [m], torch views [worlds, 3].
         line_mask: 1 where branches and line touch, int32 torch view [worlds].
-        count, overflow: Contacts of the last step, and those that found no room since the start, [worlds].
+        count, overflow: Contacts of the last step, and those that found no room since the last reset, [worlds].
+        forgotten: Contacts that found no room before it, [worlds].
         depth: Deepest penetration of the last step [m], [worlds].
         branch_force: Net contact force on every capsule of the branches in the last step [N], [worlds, B, 3].
         arm_peak: Greatest force on every link of the arm since it was last set to zero [N], [worlds, dof].
@@ -190,6 +191,7 @@ class TouchArrays:
             "record": wp.zeros((worlds, capacity), dtype=Contact, device=dev),
             "count": wp.zeros(worlds, dtype=int, device=dev),
             "overflow": wp.zeros(worlds, dtype=int, device=dev),
+            "forgotten": wp.zeros(worlds, dtype=int, device=dev),
             "unsettled": wp.zeros(worlds, dtype=int, device=dev),
             "depth": wp.zeros(worlds, dtype=float, device=dev),
             "branch_force": wp.zeros((worlds, capsules), dtype=wp.vec3, device=dev),
@@ -200,8 +202,8 @@ class TouchArrays:
             setattr(rule, name, array)
         self.record = made["record"]
         self.warp = made
-        for name in ("friction", "line_start", "line_end", "line_mask", "count", "overflow", "unsettled", "depth",
-                     "branch_force", "arm_peak"):  # fmt: skip
+        for name in ("friction", "line_start", "line_end", "line_mask", "count", "overflow", "forgotten", "unsettled",
+                     "depth", "branch_force", "arm_peak"):  # fmt: skip
             view: torch.Tensor = wp.to_torch(made[name])
             setattr(self, name, view)
         return rule
@@ -212,6 +214,7 @@ class TouchArrays:
     line_mask: torch.Tensor
     count: torch.Tensor
     overflow: torch.Tensor
+    forgotten: torch.Tensor
     unsettled: torch.Tensor
     depth: torch.Tensor
     branch_force: torch.Tensor

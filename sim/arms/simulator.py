@@ -126,7 +126,7 @@ class ArmSimulator(Simulator):
         line_start, line_end: Ends of the power line's axis, to be written [m], [worlds, 3]; far below at first.
         line_mask: 1 where branches touch the line, int32, to be written in place, [worlds].
         start_q: Joint positions that `reset` returns to, to be written in place [rad], [worlds, dof].
-        overflow: Contacts that found no room since the start, int32 [worlds]; see `without_room`.
+        overflow: Contacts that found no room since the last reset, int32 [worlds]; see `without_room`.
         unsettled: 1 where the contacts' forces of the last substep were still changing, int32 [worlds].
         rupture: Strength of every joint and which are broken (`Rupture`), None unless ``breakable``.
         capsules, line: The same as Warp arrays, for perception.
@@ -193,7 +193,6 @@ class ArmSimulator(Simulator):
         self._start_q = wp.zeros((worlds, arm.num_dofs), dtype=float, device=model.device)
         self.start_q: torch.Tensor = wp.to_torch(self._start_q)
         self.start_q.copy_(torch.tensor(arm.home, dtype=torch.float32))
-        self._without_room = torch.zeros_like(self.overflow, dtype=torch.int64)
         self._make_capsules()
         self._outlining: dict[bool, Callable[[], None]] = {}
         self.rupture = Rupture(self) if breakable else None
@@ -232,7 +231,7 @@ class ArmSimulator(Simulator):
     @property
     def without_room(self) -> int:
         """Contacts that found no room in any world since this was made, resets or not; a look from the host."""
-        return int((self._without_room + self.overflow).sum())
+        return int((self._touch.forgotten + self.overflow).sum())
 
     def _set_rule(self) -> None:
         rule, c = self._touch.kernel[0], self.contacts
@@ -291,7 +290,6 @@ class ArmSimulator(Simulator):
         self.look()
 
     def _reset(self, chosen: wp.array) -> None:
-        self._without_room += self.overflow * wp.to_torch(chosen)  # which the reset forgets
         super()._reset(chosen)
         if self.rupture is not None:
             self.rupture.heal(chosen)

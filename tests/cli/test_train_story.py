@@ -48,7 +48,7 @@ def test_models_that_no_worlds_can_be_of(inside, tmp_path):
 
     refused("model.yaml", "no such file")
     write_case(tmp_path / "joints", [(0.5, 0.0), (-0.2, 1.0)])
-    refused("meta.yaml", "mechanism", "format, name, segments, effects", model="joints/meta.yaml")
+    refused("meta.yaml", "line 1", "joint-gap-case/1", "branch-model/1", model="joints/meta.yaml")
     write_branch(segments=[{k: v for k, v in s.items() if not k.endswith("_m")} for s in SEGMENTS])
     refused("model.yaml", "no length_m", "bough diagnose")
     write_branch(segments=[s | {"stiffness_Nmprad": 1e4} for s in SEGMENTS])

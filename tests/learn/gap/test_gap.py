@@ -247,7 +247,7 @@ def test_exam_is_graded_by_hand():
     """Grade five made-up verdicts as one would by hand."""
 
     def result(kind, hidden, named, verdict, **more):
-        effects = [{"name": n, "joint": 0} for n in hidden]
+        effects = [{"name": n, "joint": 0, "params": {}} for n in hidden]
         truth = {"null": kind == "null", "out_of_library": kind == "outside", "effects": effects, "equivalents": {},
                  "visible_gap": 0.1, **more}  # fmt: skip
         gap = {"base": 8.0, "repaired": 2.0, "noise_floor": 1.0}

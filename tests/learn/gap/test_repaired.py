@@ -35,13 +35,13 @@ FEW = ("dry_friction", "force_scale", "force_bias", "anisotropic_stiffness")
 def decided(case, sigma, names, chosen, verdict):
     """Return base and decision of a case as a search would leave them, with the effects ``chosen`` in the model."""
     contest = Contest(case, recordings(case), sigma, names)
-    base = fit(contest, contest.base_batch(1), 8)
+    base = fit(contest, contest.base_batch(1), 24)
     members = tuple(next(k for k, c in enumerate(contest.candidates) if c.name == name) for name in chosen)
     begun = activated(contest, base.batch, [members])
     for c in members:
         for column in contest.candidates[c].columns:
             begun.free[0, column] = 0.5 * (contest.low[column] + contest.high[column])
-    with_effects = Model(members, fit(contest, begun, 4), True) if members else Model((), base)
+    with_effects = Model(members, fit(contest, begun, 24), True) if members else Model((), base)
     plain = Model((), base)
     named = tuple(contest.candidates[c].acting for c in members) if verdict == "effects" else ()
     return Base(contest, base, Noise(sigma), None), Decision(verdict, plain, with_effects, with_effects, named)
@@ -142,14 +142,16 @@ def test_a_value_that_nature_does_not_have_is_told(low, high, told):
 
 
 def test_deviations_follow_the_noise(tmp_path):
-    """Give the hinge's friction a standard deviation that grows with the noise, by curvature alone."""
+    """Give the hinge's cubic spring an interval that grows with the noise, by curvature alone."""
     widths = []
     for noise in (0.002, 0.02):
         folder = write_case(tmp_path / str(noise), [(0.5, 0.0), (-0.3, 1.0), (0.2, -2.0)], noise=noise)
         case = load_case(folder)
         with one_thread():
-            base, decision = decided(case, estimate_noise(case).sigma, ("dry_friction",), ("dry_friction",), "effects")
+            base, decision = decided(
+                case, estimate_noise(case).sigma, ("cubic_stiffness",), ("cubic_stiffness",), "effects"
+            )
             found = repair(base, decision, Run(Settings(particles=0)))
-        own = found.parameters["dry_friction@0"]["torque_Nm"]
+        own = found.parameters["cubic_stiffness@0"]["cubic_radm2"]
         widths.append(own.high - own.low)
     assert widths[1] > 2.0 * widths[0] and torch.isfinite(torch.tensor(widths)).all()

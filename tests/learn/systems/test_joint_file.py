@@ -130,7 +130,7 @@ def test_known_effects_act_while_springs_are_learnt(tmp_path, case):
     effects = (Acting("dry_friction", 0, {"torque_Nm": 1.0, "bend_rad": 1e-3, "gradual": 0.0}),)
     write_model(tmp_path / "model.yaml", JointModel(**{**vars(MODEL), "effects": effects}))
     assert len(recordings(case)) == 4
-    settings = Settings(particles=16, iterations=10)
+    settings = Settings(particles=18, iterations=10)
     found = identify(case, tmp_path / "out", settings, model=tmp_path / "model.yaml")
     assert [a.name for a in found.settings.effects] == ["dry_friction"]
     assert found.posterior.interval()[0][1] < 1.4
