@@ -64,7 +64,6 @@ class Decision:
         named: Effects that are claimed.
         alternatives: For each of them the names that these data cannot tell from it.
         nearest: For ``unknown`` the closest name, not claimed; None if the data cannot support a verdict.
-        too_small: For ``none`` whether more than noise is left, which is smaller than the tolerance.
         unstable: What would change the verdict of measured joints, see `steady`.
     """
 
@@ -75,7 +74,6 @@ class Decision:
     named: tuple[Acting, ...] = ()
     alternatives: dict[str, tuple[str, ...]] = field(default_factory=dict)
     nearest: str | None = None
-    too_small: bool = False
     unstable: tuple[str, ...] = ()
 
 
@@ -89,8 +87,7 @@ def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
         named = tuple(candidates[c].acting for c in model.members)
         return Decision(verdict, models.base, model, model, named, alternatives(models, model))
     if verdict == "none":
-        left = searched.p_value <= ALARM or lacks_fit(models, 0.0)
-        return Decision(verdict, models.base, model, models.base, too_small=left)
+        return Decision(verdict, models.base, model, models.base)
     nearest = None if base.unusable or not model.members else candidates[leading(models, model)].name
     return Decision(verdict, models.base, model, model, nearest=nearest)
 

@@ -20,7 +20,7 @@ from .decide import Decision
 from .diagnosis import Bound, Interval
 from .models.contest import Batch, Contest
 from .models.fitted import Model
-from .models.refit import normal_equations
+from .models.refit import filled, normal_equations
 from .run import Run
 
 #: Parameters of each named effect, by its label.
@@ -139,10 +139,8 @@ def _deviations(contest: Contest, fitted: Batch, train: Sequence[int]) -> dict[i
     """
     residual, derivative, columns = contest.linearise(fitted)
     normal, _ = normal_equations(contest, fitted, residual, derivative, columns)
-    diagonal = normal[0].diagonal()
-    precision = normal[0] + torch.diag(torch.where(diagonal > 0.0, 0.0, 1.0))
-    rows, used = derivative[0][:, list(train)], int((diagonal > 0.0).sum())
+    rows, used = derivative[0][:, list(train)], int((normal[0].diagonal() > 0.0).sum())
     seen = correlation(residual[0][list(train)], [len(contest.recordings[j].t) for j in train], used)
     curvature = rows.flatten(1) @ rows.flatten(1).T
-    spread = sandwich(precision, curvature, score_covariance(seen, rows)).diagonal().sqrt()
+    spread = sandwich(filled(normal[0]), curvature, score_covariance(seen, rows)).diagonal().sqrt()
     return {int(c): float(s) for c, s in zip(columns[0], spread, strict=False) if c >= 0}

@@ -10,6 +10,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 import tyro
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -19,6 +20,14 @@ from bough.learn.policies.ppo_settings import PRESETS
 from oracles.reach_task import registry
 
 TINY = replace(PRESETS["cpu"], num_envs=8, horizon=8, hidden=(16,), checkpoint_every=2)
+
+
+def short_run(out: Path) -> Path:
+    """Train for two iterations into a folder and return it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PRESETS, "cpu", TINY)
+        assert Train("reach", out, iterations=2).run(registry()) == 0
+    return out
 
 
 def die_in_save(number: int) -> None:

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 from .contest import Contest
 from .fitted import Model, overdispersion
 from .nested import switches
-from .refit import normal_equations
+from .refit import filled, normal_equations
 
 #: Probability of the interval.
 CONFIDENCE = 0.95
@@ -21,10 +21,8 @@ def covariance(contest: Contest, model: Model) -> tuple[torch.Tensor, list[int]]
     """
     residual, derivative, columns = contest.linearise(model.fit.batch)
     normal, _ = normal_equations(contest, model.fit.batch, residual, derivative, columns)
-    diagonal = normal[0].diagonal()
-    filled = normal[0] + torch.diag(torch.where(diagonal > 0.0, 0.0, 1.0))
     own = [int(c) for c in columns[0] if c >= 0]
-    spread = torch.linalg.inv(filled / overdispersion(contest, model.chi2))
+    spread = torch.linalg.inv(filled(normal[0]) / overdispersion(contest, model.chi2))
     return spread[: len(own), : len(own)], own
 
 

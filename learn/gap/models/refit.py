@@ -180,6 +180,11 @@ def normal_equations(
     return normal + torch.diag_embed(extra), pull
 
 
+def filled(normal: torch.Tensor) -> torch.Tensor:
+    """Return one model's Gauss-Newton matrix [p, p] with ones where nothing is fitted, so that it has an inverse."""
+    return normal + torch.diag(torch.where(normal.diagonal() > 0.0, 0.0, 1.0))
+
+
 def _where(better: torch.Tensor, trial: Fits, fits: Fits) -> Fits:
     def pick(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
         return torch.where(better.view(-1, *[1] * (a.dim() - 1)), a, b)

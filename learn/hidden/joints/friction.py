@@ -5,7 +5,7 @@ Torques are the strength times ``size`` [N m].
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,13 +25,11 @@ class Coulomb(Law):
     (Bittencourt & Gunnarsson 2012, J. Dyn. Sys. Meas. Control 134).
     """
 
-    joint: int
     size: float
     speed: float = 1.0
     static: float = 0.0
     lopsided: float = 0.0
     load: float = 0.0
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def torque(self, now: Now) -> Array:
         """Return the torque [B]."""
@@ -47,13 +45,11 @@ class Bristle(Law):
     In units of the torque: z = T g(w) / s0 in a steady slip, bristles as long as ``bend`` [rad].
     """
 
-    joint: int
     size: float
     bend: float
     speed: float = 1.0
     static: float = 0.0
     damped: float = 0.0
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def begin(self, angle: Array, rate: Array) -> None:
         """Relax the bristles."""
@@ -73,11 +69,9 @@ class Bristle(Law):
 class Drag(Law):
     """C |w|^p sign(w) over a typical rate: p = 2 is Rayleigh's, 1.7 a turbulent boundary layer's."""
 
-    joint: int
     size: float
     speed: float
     power: float = 2.0
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def torque(self, now: Now) -> Array:
         """Return the torque [B]."""

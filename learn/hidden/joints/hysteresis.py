@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,12 +27,10 @@ class Turned(Law):
 class BoucWen(Turned):
     """z' = w (1 - |z / y|^n (beta + gamma sign(w z))), torque s K z; Wen 1976, beta + gamma = 1."""
 
-    joint: int
     stiffness: float
     yields: float
     exponent: float = 1.0
     blend: float = 0.5
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def torque(self, now: Now) -> Array:
         """Return the torque [B]."""
@@ -46,10 +44,8 @@ class BoucWen(Turned):
 class Stops(Turned):
     """Elastic sliders side by side, each with a yield angle and a share of s K (Prandtl 1928, Iwan 1966)."""
 
-    joint: int
     stiffness: float
     yields: tuple[float, ...]
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def begin(self, angle: Array, rate: Array) -> None:
         """Forget."""
@@ -70,11 +66,9 @@ class Relays(Turned):
     They are weighted over a half plane (Preisach 1935; Mayergoyz 2003). The torque is that of the angle less the slip.
     """
 
-    joint: int
     torque_scale: float
     angle: float
     count: int = 14
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def begin(self, angle: Array, rate: Array) -> None:
         """Set the relays to where the angle has them, half of the undecided ones up."""
@@ -99,11 +93,9 @@ class Yielding(Turned):
     Hardening is kinematic, or isotropic in the share given (Simo & Hughes 1998, box 1.5).
     """
 
-    joint: int
     stiffness: float
     yields: float
     isotropic: float = 0.0
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def begin(self, angle: Array, rate: Array) -> None:
         """Relax."""

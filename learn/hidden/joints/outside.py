@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,11 +14,9 @@ from .rig import Array, Law, Now
 class Ripple(Law):
     """A torque of the angle alone: cogging of a motor's poles, sin(n q + p), or the weight of an eccentric, n = 1."""
 
-    joint: int
     torque_scale: float
     poles: float
     phase: float
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def torque(self, now: Now) -> Array:
         """Return the torque [B]."""
@@ -29,11 +27,9 @@ class Ripple(Law):
 class Detent(Law):
     """A magnet that pulls a joint into one place, x exp(-x^2) of the distance over its width [rad]."""
 
-    joint: int
     torque_scale: float
     place: float
     width: float
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def torque(self, now: Now) -> Array:
         """Return the torque [B]."""
@@ -45,12 +41,10 @@ class Detent(Law):
 class Saturated(Law):
     """An actuator that gives no more than its most, which falls with the strength; the command is what is recorded."""
 
-    joint: int
     torque_scale: float
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def torque(self, now: Now) -> Array:
-        """Return no torque of its own [B]; `drives` takes off what is missing."""
+        """Return what is missing of the command [B]."""
         most = self.torque_scale * (1.0 - self.strength)
         return np.clip(now.effort, -most, most) - now.effort
 
@@ -59,9 +53,7 @@ class Saturated(Law):
 class Lagging(Law):
     """The torque follows its command with the time constant L / R of a winding [s], which grows with the strength."""
 
-    joint: int
     time: float
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def begin(self, angle: Array, rate: Array) -> None:
         """Start without current."""
@@ -77,10 +69,8 @@ class Lagging(Law):
 class Resonant(Law):
     """A mass behind a belt: inertia s J on a spring and a damper, which the joint carries along."""
 
-    joint: int
     inertia: float
     frequency: float
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def begin(self, angle: Array, rate: Array) -> None:
         """Start with the belt relaxed."""
@@ -100,11 +90,9 @@ class Resonant(Law):
 class Warming(Law):
     """A damper that a warming grease takes off: -c w exp(-t / T) beside the joint's own."""
 
-    joint: int
     torque_scale: float
     speed: float
     time: float
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def torque(self, now: Now) -> Array:
         """Return the torque [B]."""
@@ -115,11 +103,9 @@ class Warming(Law):
 class RubbingSpot(Law):
     """Friction over a part of the turn only, where a seal is worn: a bump of the angle."""
 
-    joint: int
     torque_scale: float
     place: float
     width: float
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def torque(self, now: Now) -> Array:
         """Return the torque [B]."""
@@ -131,11 +117,9 @@ class RubbingSpot(Law):
 class WornTeeth(Law):
     """Impulses where a damaged tooth comes by: short bumps of the angle that push back and then forth."""
 
-    joint: int
     torque_scale: float
     pitch: float
     phase: float
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def torque(self, now: Now) -> Array:
         """Return the torque [B]."""
@@ -150,11 +134,9 @@ class Diode(Law):
     The slip p obeys p' = max(0, q - p - on) s / T, and a fifth of that the other way.
     """
 
-    joint: int
     stiffness: float
     opens: float
     time: float
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def begin(self, angle: Array, rate: Array) -> None:
         """Start with nothing drained."""

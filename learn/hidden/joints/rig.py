@@ -10,6 +10,7 @@ half a step of the angles, one of the rates by what acts there, half a step of t
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -118,7 +119,8 @@ class Now:
     chain_angle: Array
 
 
-class Law:
+@dataclass
+class Law(ABC):
     """A torque at one joint beside its spring and damper.
 
     Attributes:
@@ -127,18 +129,14 @@ class Law:
     """
 
     joint: int
-    strength: Array
+    strength: Array = field(default_factory=lambda: np.ones(1), kw_only=True)
 
-    def begin(self, angle: Array, rate: Array) -> None:
+    def begin(self, angle: Array, rate: Array) -> None:  # noqa: B027
         """Forget, at the start of runs, whose angles and rates are given [B]."""
 
+    @abstractmethod
     def torque(self, now: Now) -> Array:
         """Return the torque [B] and go on by a step [N m]."""
-        raise NotImplementedError
-
-    def drives(self, effort: Array) -> Array:
-        """Return what acts [B] of what the joint is driven with [B], N m."""
-        return effort
 
 
 @dataclass(frozen=True)
@@ -173,15 +171,14 @@ def move(
         time = k * step
         middle, about = q + 0.5 * step * v, v + 0.5 * step * gained
         effort = drive(time + 0.5 * step, middle, about)
-        given, acting = np.zeros_like(q), effort.copy()
+        given = np.zeros_like(q)
         for law in laws:
             j = law.joint
             now = Now(time + 0.5 * step, step, middle[:, j], about[:, j], effort[:, j], least[j], middle)
             given[:, j] += law.torque(now)
-            acting[:, j] = law.drives(acting[:, j])
         for store, value in zip(out, (q, v, effort, given), strict=True):
             store[k] = value
-        gained = chain.acceleration(middle, about, acting + given)
+        gained = chain.acceleration(middle, about, effort + given)
         v = v + step * gained
         q = middle + 0.5 * step * v
     return Motion(step * np.arange(count), *out)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,11 +13,9 @@ from .rig import Array, Law, Now
 class Curved(Law):
     """K q changed to K (q + s q^3 / a^2) (Duffing 1918), to K a tanh(s q / a) / s, or to K a sinh(s q / a) / s."""
 
-    joint: int
     stiffness: float
     angle: float
     form: str = "cubic"
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def torque(self, now: Now) -> Array:
         """Return the torque [B]."""
@@ -35,10 +33,8 @@ class Curved(Law):
 class OneSided(Law):
     """A further spring s K for positive angles only (Shaw & Holmes 1983)."""
 
-    joint: int
     stiffness: float
     side: float = 1.0
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def torque(self, now: Now) -> Array:
         """Return the torque [B]."""
@@ -49,11 +45,9 @@ class OneSided(Law):
 class DeadZone(Law):
     """No spring within s a of rest, hard (Nordin & Gutman 2002) or rounded by a softplus of the given share of it."""
 
-    joint: int
     stiffness: float
     angle: float
     soft: float = 0.0
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def torque(self, now: Now) -> Array:
         """Return what the spring lacks [B]."""
@@ -71,10 +65,8 @@ class DeadZone(Law):
 class Maxwell(Law):
     """Springs s K in series with dashpots of relaxation times T, in equal shares (Zener 1948; Wiechert)."""
 
-    joint: int
     stiffness: float
     times: tuple[float, ...]
-    strength: Array = field(default_factory=lambda: np.ones(1))
 
     def begin(self, angle: Array, rate: Array) -> None:
         """Relax."""

@@ -13,24 +13,18 @@ import pytest
 import torch
 from bough.cli.evaluate import Evaluate
 from bough.cli.play import Play
-from bough.cli.train import Train
 from bough.learn.policies.evaluate import COLUMNS, Row, columns, evaluate, first_episodes, random, table, zero
-from bough.learn.policies.ppo_settings import PRESETS
 from bough.learn.runs.folder import RunFolder
 from bough.learn.tasks.task import METRICS, unseen_seed
 from bough.sim.base.errors import InputError
 from oracles.reach_task import LENGTH, ReachSettings, registry
-from oracles.train_reach import TINY
+from oracles.train_reach import short_run
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """Folder of a short run."""
-    out = tmp_path_factory.mktemp("run") / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(PRESETS, "cpu", TINY)
-        assert Train("reach", out, iterations=2).run(registry()) == 0
-    return out
+    return short_run(tmp_path_factory.mktemp("run") / "run")
 
 
 def task(worlds=5, seed=1):

@@ -8,24 +8,18 @@ import onnx
 import pytest
 import torch
 from bough.cli.export import Export
-from bough.cli.train import Train
 from bough.learn.policies.evaluate import read_policy
-from bough.learn.policies.ppo_settings import PRESETS
 from bough.learn.runs.folder import RunFolder
 from bough.sim.base.errors import InputError
 from onnx.reference import ReferenceEvaluator
 from oracles.reach_task import ReachSettings, registry
-from oracles.train_reach import TINY
+from oracles.train_reach import short_run
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """Folder of a short run."""
-    out = tmp_path_factory.mktemp("run") / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(PRESETS, "cpu", TINY)
-        assert Train("reach", out, iterations=2).run(registry()) == 0
-    return out
+    return short_run(tmp_path_factory.mktemp("run") / "run")
 
 
 def by_hand(state: dict, x: np.ndarray) -> np.ndarray:
