@@ -14,6 +14,7 @@ from .version import __version__
 if TYPE_CHECKING:
     from .learn.cases.case import load_case
     from .learn.gap.diagnose import diagnose
+    from .learn.gym.make import make_gym
     from .learn.hidden.hide import hide
     from .learn.inference.identify import identify
     from .learn.tasks.clearing import make_task
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from .sim.base.errors import InputError
     from .sim.engine.model import Model
     from .sim.engine.simulator import Simulator
+    from .sim.formats.import_mujoco import from_mujoco
     from .sim.formats.load import load_mechanism
     from .sim.trees.species import grow_forest
     from .sim.trees.tree import Tree
@@ -36,12 +38,14 @@ __all__ = [
     "__version__",
     "diagnose",
     "embed",
+    "from_mujoco",
     "grow_forest",
     "hide",
     "identify",
     "jaco2",
     "load_case",
     "load_mechanism",
+    "make_gym",
     "make_task",
     "occlusion",
 ]
@@ -55,12 +59,14 @@ _HOMES = {
     "Tree": "sim.trees.tree",
     "diagnose": "learn.gap.diagnose",
     "embed": "perception.embedding",
+    "from_mujoco": "sim.formats.import_mujoco",
     "grow_forest": "sim.trees.species",
     "hide": "learn.hidden.hide",
     "identify": "learn.inference.identify",
     "jaco2": "sim.arms.jaco2",
     "load_case": "learn.cases.case",
     "load_mechanism": "sim.formats.load",
+    "make_gym": "learn.gym.make",
     "make_task": "learn.tasks.clearing",
     "occlusion": "perception.embedding",
 }

@@ -180,6 +180,20 @@ BENCHMARKS = (
         bounds=_SCALE,
     ),
     Benchmark(
+        "view", "A page of 64 moving trees: CPU time of server and of headless Chromium a frame.",
+        None, "view", 2, (), ("--quick",),
+        bounds=(Bound("64 trees of 40 links", "CPU of the server a frame", most=33.0, unit="ms"),),
+    ),
+    Benchmark(
+        "robot", "The arm's service: periods of its loop alone and with many clients, time to standstill.",
+        None, "robot", 3, (), ("--quick",),
+        bounds=(
+            Bound("alone", "99th percentile of the period", most=20.0, unit="ms"),
+            Bound("busy", "99th percentile of the period", most=20.0, unit="ms", cores=2),
+            Bound("client killed", "time to standstill", most=150.0, unit="ms"),
+        ),
+    ),
+    Benchmark(
         "accuracy", "Error of 60 random trees' motion, float32, against a converged MuJoCo run.",
         "C MuJoCo at the same step", "accuracy", 4, (), ("--trees", "10"), bounds=_accuracy_bounds(0.1),
     ),

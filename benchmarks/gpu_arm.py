@@ -125,14 +125,14 @@ class TimeUpError(Exception):
 def measure_training(device: str, quick: bool, seconds: float, out: Path) -> dict[str, Any]:
     """Train towards table 5.2 for as long as there is time, then evaluate in unseen worlds with all contacts on."""
     from bough.learn.policies.evaluate import evaluate
-    from bough.learn.policies.ppo_settings import PRESETS as SIZES
     from bough.learn.policies.train import Plan, train
-    from bough.learn.tasks.registry import builtin_tasks
+    from bough.learn.tasks.ppo_settings import PRESETS as SIZES
+    from bough.learn.tasks.registry import known_tasks
 
-    registry, name = builtin_tasks(), "cpu" if quick else "gpu"
+    registry, name = known_tasks(), "cpu" if quick else "gpu"
     small = {"num_envs": 16, "iterations": 2, "horizon": 8} if quick else {}
     ppo = replace(SIZES[name], checkpoint_every=2 if quick else 10, **small)
-    plan = Plan("powerline", registry.presets[name], ppo, 0, device)
+    plan = Plan("powerline", registry.of("powerline").presets[name], ppo, 0, device)
     end, done = time.perf_counter() + seconds, 0
 
     def watch(iterations: int) -> None:

@@ -51,6 +51,7 @@ from bough.learn.cases.case import BranchCase, BranchTrajectory, load_case
 from bough.learn.cases.noise import estimate_noise
 from bough.learn.inference.identify import Settings, identify
 from bough.learn.systems.branch import BranchSystem
+from bough.sim.base.extras import install_hint
 from bough.sim.base.files import output_folder
 from bough.sim.base.host import describe
 from bough.sim.formats.export_mjcf import to_mjcf
@@ -320,7 +321,7 @@ def write(out: Path, pairs: list[Pair], seed: int) -> None:
 def measured(options: argparse.Namespace) -> list[Figure]:
     """Identify all cases with both and print the table."""
     if not hasattr(sysid, "default_report"):  # it swallows its own failed imports, and this one is its last
-        raise InvalidRunError('mujoco.sysid lacks packages that it needs: pip install "bough[sysid]"')
+        raise InvalidRunError(f"mujoco.sysid lacks packages that it needs: {install_hint('sysid')}")
     chosen = cases(options.seed, options.cases)
     with tempfile.TemporaryDirectory() as folder:
         compare(Path(folder) / "warm", 999_999, 1, 0.03, samples=60)

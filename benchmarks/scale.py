@@ -37,9 +37,9 @@ def measure(worlds: int, preset: str, device: str, seconds: float) -> dict[str, 
     """Build the task, then step it under random actions for a while; kernels are compiled before the clock starts."""
     import torch
     from bough.learn.policies.ppo_runner import Runner
-    from bough.learn.policies.ppo_settings import PRESETS as PPO
     from bough.learn.runs.processes import Processes
     from bough.learn.tasks.clearing import make_task
+    from bough.learn.tasks.ppo_settings import PRESETS as PPO
     from bough.learn.tasks.settings import PRESETS
 
     make_task("powerline", PRESETS[preset], num_envs=16, seed=1, device=device).step(torch.zeros(16, 6, device=device))

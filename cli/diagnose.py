@@ -9,7 +9,7 @@ from typing import Literal
 import tyro
 
 from ..learn.gap import TOLERANCE
-from ..sim.base.console import bars, shown, start_warp, warn
+from ..sim.base.console import bars, shown, start_warp, tell, warn
 from ..sim.base.errors import check_seed
 from ..sim.base.files import check_output
 from .exit_codes import ExitCode
@@ -32,6 +32,7 @@ class Diagnose:
         fit: Of joints measured directly: replay the motion that the efforts cause, or fit the torques that the motion
             needs; chosen by what was measured if not given.
         resume: Go on with a killed run of the same case, settings and --out.
+        json: Print verdict.json as JSON instead of a sentence.
     """
 
     case: tyro.conf.Positional[Path]
@@ -42,6 +43,7 @@ class Diagnose:
     seed: int = 0
     fit: Literal["replay", "torque"] | None = None
     resume: bool = False
+    json: bool = False
 
     def run(self) -> int:
         """Diagnose the case and say what came out and where the report is."""
@@ -71,7 +73,7 @@ class Diagnose:
             )  # fmt: skip
         for line in case.warnings:
             warn(line)
-        print(f"{found.sentence} Open {shown(self.out)}/report.html")
+        tell(f"{found.sentence} Open {shown(self.out)}/report.html", self.out / "verdict.json", self.json)
         return ExitCode.DONE
 
 
@@ -80,7 +82,7 @@ class Exam:
     """Hide effects in branches or joints of another simulator, diagnose them, score the verdicts, draw who is who.
 
     Writes results.jsonl (one line per case, appended: the same command continues a stopped exam), exam.json,
-    confusion.png and exam.md.
+    confusion.png and exam.md. Exit code 0: done; 2: bad input, nothing written.
 
     Attributes:
         out: Folder to write to.
@@ -92,6 +94,7 @@ class Exam:
         jobs: Cases that run at the same time.
         hard: Branches, probes, sensors, noise and laws as in nature and worse: see docs/hide.md.
         held_back: A hard exam of the laws' forms that are held back. Opened once a release, and noted in docs/hide.md.
+        json: Print exam.json as JSON instead of a sentence.
     """
 
     out: Path
@@ -102,6 +105,7 @@ class Exam:
     jobs: int = 2
     hard: bool = False
     held_back: bool = False
+    json: bool = False
 
     def run(self) -> int:
         """Hold the exam and print its table."""
@@ -115,5 +119,5 @@ class Exam:
             self.out, cases=self.cases, noise=self.noise, seed=self.seed, jobs=self.jobs, joints=self.joints,
             hard=self.hard, held_back=self.held_back,
         )  # fmt: skip
-        print(table)
+        tell(table, self.out / "exam.json", self.json)
         return ExitCode.DONE

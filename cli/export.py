@@ -7,9 +7,9 @@ from pathlib import Path
 
 import tyro
 
-from ..learn.tasks.registry import TaskRegistry, builtin_tasks
+from ..learn.tasks.registry import TaskRegistry, known_tasks
 from ..learn.tasks.task import require_rsl_rl
-from ..sim.base.console import shown
+from ..sim.base.console import shown, tell
 from ..sim.base.errors import InputError
 from ..sim.base.files import output_folder
 from .exit_codes import ExitCode
@@ -25,17 +25,19 @@ class Export:
     Attributes:
         run_folder: Folder that bough train wrote; its newest checkpoint is taken.
         out: Folder to write to.
+        json: Print policy.json as JSON instead of a sentence.
     """
 
     run_folder: tyro.conf.Positional[Path]
     out: Path
+    json: bool = False
 
     def run(self, registry: TaskRegistry | None = None) -> int:
         """Export, and say how far the files are from torch; return the exit code."""
         require_rsl_rl()
         if not self.run_folder.is_dir():  # said before torch is there
             raise InputError(self.run_folder, "", "no such folder", "a folder that bough train wrote")
-        registry = registry or builtin_tasks()
+        registry = registry or known_tasks()
         from ..learn.policies.evaluate import read_policy
         from ..learn.policies.export import export_policy
         from ..learn.runs.folder import RunFolder
@@ -43,6 +45,7 @@ class Export:
         policy = read_policy(RunFolder(self.run_folder), registry)
         with output_folder(self.out) as work:
             away = export_policy(work, policy, registry)
-        print(f"{policy.name}, iteration {policy.iteration}: actions within {away:.1g} of torch's."
-              f" Wrote {shown(self.out)}/policy.pt, policy.onnx and policy.json")  # fmt: skip
+        said = f"{policy.name}, iteration {policy.iteration}: actions within {away:.1g} of torch's."
+        files = f"{shown(self.out)}/policy.pt, policy.onnx and policy.json"
+        tell(f"{said} Wrote {files}", self.out / "policy.json", self.json)
         return ExitCode.DONE

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from ..sim.base.console import bar, shown, start_warp, warn
+from ..sim.base.console import bar, shown, start_warp, tell, warn
 from ..sim.base.errors import InputError, check_seed
+from ..sim.base.extras import install_hint
 from ..sim.base.files import output_folder
 from ..sim.base.host import check_memory
 from .exit_codes import ExitCode
@@ -32,6 +33,7 @@ class Forest:
     """Grow trees by an L-system and write one file per tree, forest.json and a picture, forest.png.
 
     Springs are relaxed in the pose that is drawn, so under gravity the trees sag a little (2 to 15 mm at order 2).
+    Exit code 0: done; 2: bad input, nothing written.
 
     Attributes:
         out: Folder to write to.
@@ -50,6 +52,7 @@ class Forest:
         seed: Seed of the noise; tree i depends on the seed and on i alone.
         picture_width: Width of forest.png [pixels]; 0 draws none.
         leaves: Draw leaves on the outermost links: decoration, as the picture says; nothing of them is simulated.
+        json: Print forest.json as JSON instead of a sentence.
     """
 
     out: Path
@@ -65,6 +68,7 @@ class Forest:
     seed: int = 0
     picture_width: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 1600
     leaves: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    json: bool = False
 
     def run(self) -> int:
         """Write the forest and say so; return 0."""
@@ -74,7 +78,8 @@ class Forest:
         files = (
             [f"tree_*{_SUFFIX[f]}" for f in self.format] + ["forest.json"] + ["forest.png"] * bool(self.picture_width)
         )
-        print(f"{len(trees)} trees of {links} links, {height} m tall: {shown(self.out)}/{', '.join(files)}")
+        said = f"{len(trees)} trees of {links} links, {height} m tall: {shown(self.out)}/{', '.join(files)}"
+        tell(said, self.out / "forest.json", self.json)
         return ExitCode.DONE
 
 
@@ -127,7 +132,7 @@ def _check(options: Forest) -> None:
     check_seed("", options.seed)
     need(len(options.format) > 0, "--format", "none", "at least one of mjcf, urdf, glb, usd")
     installed = "usd" not in options.format or find_spec("pxr") is not None
-    need(installed, "--format", "usd without the package usd-core", "with it: pip install 'bough[usd]'")
+    need(installed, "--format", "usd without the package usd-core", install_hint("usd"))
     width = options.picture_width
     need(width == 0 or 64 <= width <= 8192, "--picture-width", width, "0 for no picture, or 64 to 8192")
     both = options.species is not None and options.lsystem is not None
@@ -233,7 +238,7 @@ def _described(tree: Tree, i: int, options: Forest) -> dict[str, Any]:
 def _plain(options: Forest) -> dict[str, Any]:
     """Return the options that decide what the trees are, as JSON can hold them."""
     kept = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
-    return {k: v for k, v in kept.items() if k not in ("out", "picture_width", "leaves")}
+    return {k: v for k, v in kept.items() if k not in ("out", "picture_width", "leaves", "json")}
 
 
 def _settled(options: Forest) -> Forest:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from ..sim.base.console import bar, shown
+from ..sim.base.console import bar, shown, tell
 from .exit_codes import ExitCode
 
 
@@ -28,6 +28,7 @@ class Hide:
         size: Change of displacement that each effect causes, over its rms; drawn from 0.05 to 0.3 if not given.
         hard: In what the case is harder than a model of one: shape, geometry, probes, noise, sensors, forms.
         seed: Seed of everything random.
+        json: Print OUT_answer.json as JSON instead of a sentence.
     """
 
     out: Path
@@ -41,6 +42,7 @@ class Hide:
     size: float | None = None
     hard: tuple[Literal["shape", "geometry", "probes", "noise", "sensors", "forms"], ...] = ()
     seed: int = 0
+    json: bool = False
 
     def run(self) -> int:
         """Hide the effects, say how well they can be seen and what was written; return the exit code."""
@@ -55,5 +57,6 @@ class Hide:
         names = ", ".join(effect["name"] for effect in answer["effects"]) or "nothing"
         seen = f", {answer['visible_gap']:.1%} of the motion," if answer["effects"] else ""
         place = shown(self.out)
-        print(f"{names}{seen} hidden in {answer['options']['n_traj']} recordings: {place}, answer {place}_answer.json")
+        said = f"{names}{seen} hidden in {answer['options']['n_traj']} recordings: {place}, answer {place}_answer.json"
+        tell(said, self.out.with_name(f"{self.out.name}_answer.json"), self.json)
         return ExitCode.DONE

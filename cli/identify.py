@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
-from ..sim.base.console import bars, shown, start_warp, warn
+from ..learn.samplers.registry import SAMPLERS
+from ..sim.base.console import bars, shown, start_warp, tell, warn
 from .exit_codes import ExitCode
 
 
@@ -21,8 +22,9 @@ class Identify:
     Attributes:
         case: Case folder: meta.yaml and one CSV file per trajectory.
         out: Folder to write to.
-        method: Sampler: Stein variational gradient descent, the same with the inequality prior, Metropolis-Hastings,
-            stochastic gradient Langevin or Hamiltonian dynamics, or the emcee package's ensemble as a reference.
+        method: Sampler: Stein variational gradient descent, Metropolis-Hastings, stochastic gradient Langevin or
+            Hamiltonian dynamics, the emcee package's ensemble as a reference, or one of an installed package; nnsvgd is
+            svgd with the inequality prior.
         prior: What is known beforehand: inequality (child below parent), geometry (as in grown trees), lognormal, or
             the posterior.npz of an earlier case. Several multiply; the box always holds.
         particles: Particles of SVGD, chains of the other samplers.
@@ -38,11 +40,12 @@ class Identify:
         temperature: kT of the published loss.
         seed: Seed of everything random.
         resume: Go on with a killed run of the same case, settings and --out.
+        json: Print report.json as JSON instead of a sentence.
     """
 
     case: tyro.conf.Positional[Path]
     out: Path
-    method: Literal["svgd", "nnsvgd", "mh", "sgld", "sghmc", "emcee"] = "svgd"
+    method: Annotated[str, tyro.conf.arg(help_behavior_hint=SAMPLERS.hint)] = "svgd"
     prior: tuple[str, ...] = ()
     particles: int = 64
     iterations: int | None = None
@@ -56,6 +59,7 @@ class Identify:
     temperature: float = 0.01
     seed: int = 0
     resume: bool = False
+    json: bool = False
 
     def run(self) -> int:
         """Identify the case, say what came out and where the report is; return the exit code."""
@@ -84,5 +88,5 @@ class Identify:
 
         for line in case.warnings:
             warn(line)
-        print(f"{headline(outcome)[0]} Open {shown(self.out)}/report.html")
+        tell(f"{headline(outcome)[0]} Open {shown(self.out)}/report.html", self.out / "report.json", self.json)
         return ExitCode.DONE if outcome.posterior.convergence.converged else ExitCode.NOT_TRUSTED

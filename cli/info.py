@@ -4,30 +4,43 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from functools import partial
+from importlib.metadata import EntryPoint, PackageNotFoundError, version
 from importlib.util import find_spec
 
-from ..sim.base.console import bar, start_warp
+from ..sim.base.console import bar, start_warp, tell
+from ..sim.base.plugins import distribution_of, fault_of, points
 from .exit_codes import ExitCode
 
 _PACKAGES = ("warp-lang", "numpy", "torch", "newton", "mujoco")
-_EXTRAS = {"train": "rsl_rl", "taichi": "taichi", "usd": "pxr"}
+_EXTRAS = {"train": "rsl_rl", "gym": "gymnasium", "taichi": "taichi", "usd": "pxr"}
 
 
 @dataclass(frozen=True)
 class Info:
-    """Print versions, devices, vector lanes, cores, the kernel cache and extras, and let one small tree sway."""
+    """Print versions, devices, vector lanes, cores, the kernel cache and extras, and let one small tree sway.
+
+    Parts of installed packages are listed, and what is wrong with them. Exit code 0: done; 1: the tree did not stay
+    finite.
+
+    Attributes:
+        json: Print all of it as JSON instead of lines.
+    """
+
+    json: bool = False
 
     def run(self) -> int:
         """Print one line per fact; return 0, or 1 where the tree did not stay finite."""
         start_warp()
-        for name, value in facts():
-            print(f"{name:<14}{value}")
+        told, installed = dict(facts()), parts()
+        lines = [*told.items(), *((p["kind"], _line(p)) for p in installed)]
+        if not self.json:
+            tell("\n".join(f"{name:<14}{value}" for name, value in lines), {}, False)
         with bar("self-check (the first run compiles kernels)", None):
             well, report = self_check()
-        print(f"{'self-check':<14}{report}")
+        tell(f"{'self-check':<14}{report}", {**told, "parts": installed, "self-check": report}, self.json)
         return ExitCode.DONE if well else ExitCode.FAILED
 
 
@@ -49,6 +62,35 @@ def facts() -> Iterator[tuple[str, str]]:
     have = [name for name, module in _EXTRAS.items() if find_spec(module) is not None]
     lack = [name for name in _EXTRAS if name not in have]
     yield "extras", (", ".join(have) or "none") + (f" (not installed: {', '.join(lack)})" if lack else "")
+
+
+def parts() -> list[dict[str, str]]:
+    """Return the parts of installed packages: kind, name, package, and what is wrong with it, if anything."""
+    from ..learn.replay.probes import PROBES
+    from ..learn.samplers.registry import SAMPLERS
+    from ..learn.tasks.registry import TASKS
+    from ..sim.arms.registry import ARMS
+    from ..sim.effects import GROUP
+
+    found = []
+    for registry in (TASKS, ARMS, PROBES, SAMPLERS):
+        for name, point in registry.installed.items():
+            found.append(_part(registry.noun, point, partial(registry.of, name)))
+    return found + [_part("effect", point, point.load) for point in points(GROUP)]
+
+
+def _part(kind: str, point: EntryPoint, load: Callable[[], object]) -> dict[str, str]:
+    fault = ""
+    try:
+        load()
+    except Exception as error:  # another's package
+        who = f"{distribution_of(point)}: " if kind == "effect" else ""  # other kinds name it themselves
+        fault = f"{who}{fault_of(error)}"
+    return {"kind": kind, "name": point.name, "package": distribution_of(point), "fault": fault}
+
+
+def _line(part: dict[str, str]) -> str:
+    return f"{part['name']}: BROKEN: {part['fault']}" if part["fault"] else f"{part['name']} ({part['package']})"
 
 
 def _version(package: str) -> str:

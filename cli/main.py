@@ -16,6 +16,7 @@ import tyro
 from ..sim.base.console import warn
 from ..sim.base.errors import InputError
 from ..version import __version__
+from .check_law import CheckLaw
 from .diagnose import Diagnose, Exam
 from .evaluate import Evaluate
 from .exit_codes import ExitCode
@@ -25,10 +26,14 @@ from .hide import Hide
 from .identify import Identify
 from .info import Info
 from .play import Play
+from .recordings import ImportCase, NewCase, Record
 from .replay import Replay
 from .reproduce import Reproduce
-from .simulate import Simulate
+from .robot import Robot
+from .simulate import Simulate, simulate_case
+from .touch import Touch
 from .train import Train
+from .view import View
 
 _DESCRIPTION = """Simulate thousands of different trees in parallel; infer the springs of a real one.
 
@@ -40,6 +45,9 @@ Command = (
     | Annotated[Forest, tyro.conf.subcommand("forest")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[NewCase, tyro.conf.subcommand("new-case")]
+    | Annotated[ImportCase, tyro.conf.subcommand("import-case")]
+    | Annotated[Record, tyro.conf.subcommand("record")]
     | Annotated[Identify, tyro.conf.subcommand("identify")]
     | Annotated[Hide, tyro.conf.subcommand("hide")]
     | Annotated[Diagnose, tyro.conf.subcommand("diagnose")]
@@ -48,7 +56,11 @@ Command = (
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[CheckLaw, tyro.conf.subcommand("check-law")]
+    | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
+    | Annotated[Touch, tyro.conf.subcommand("touch")]
+    | Annotated[Robot, tyro.conf.subcommand("robot")]
 )
 
 
@@ -88,8 +100,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(command: Command) -> int:
     if isinstance(command, Simulate) and command.source.is_dir():
-        from .simulate_case import simulate_case
-
         return simulate_case(command)
     return command.run()
 

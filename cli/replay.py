@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from ..sim.base.console import start_warp
+from ..sim.base.console import start_warp, tell
 from ..sim.base.errors import InputError
 from .exit_codes import ExitCode
 
@@ -29,9 +29,11 @@ class Replay:
 
     Attributes:
         file: A file that bough simulate --dump-faults wrote.
+        json: Print where the world was lost as JSON instead of a sentence.
     """
 
     file: tyro.conf.Positional[Path]
+    json: bool = False
 
     def run(self) -> int:
         """Replay the file, print what happened and return the exit code."""
@@ -43,8 +45,10 @@ class Replay:
 
         fault = Fault.read(self.file)
         found = replay(fault)
-        print("\n".join([*_table(found), _end(fault, found)]))
         same = found.tick == fault.fault_tick and found.link == fault.link
+        result = {"as_it_was": same, "substep": found.tick, "joint_of": found.link, "quantity": found.quantity,
+                  "quantity_of": found.place}  # fmt: skip
+        tell("\n".join([*_table(found), _end(fault, found)]), result, self.json)
         return ExitCode.DONE if same else ExitCode.NOT_TRUSTED
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from ..learn.policies.ppo_settings import Preset, preset_of
-from ..learn.tasks.registry import TaskRegistry, builtin_tasks
+from ..learn.tasks.ppo_settings import Preset, preset_of
+from ..learn.tasks.registry import TaskRegistry, known_tasks
 from ..learn.tasks.task import require_rsl_rl
-from ..sim.base.console import bars, shown, start_warp, warn
+from ..sim.base.console import bars, shown, start_warp, tell, warn
 from .exit_codes import ExitCode
 
 
@@ -30,6 +31,7 @@ class Chapter3:
         branches: Simulated branches that table 3.1 and figure 3.5 are repeated on.
         unseen: Trajectories to predict.
         seed: Seed of everything random.
+        json: Print tables.json as JSON instead of a sentence.
     """
 
     out: Path
@@ -38,6 +40,7 @@ class Chapter3:
     branches: int = 3
     unseen: int = 25
     seed: int = 0
+    json: bool = False
 
     def run(self) -> int:
         """Reproduce the chapter, say what came out and where the report is; return the exit code."""
@@ -48,8 +51,69 @@ class Chapter3:
         options.check()
         with bars(options.stages) as advance:
             line, converged = reproduce(self.out, options, lambda stage: advance(stage, 1))
-        print(f"{line} Open {shown(self.out)}/report.html")
+        tell(f"{line} Open {shown(self.out)}/report.html", self.out / "tables.json", self.json)
         return ExitCode.DONE if converged else ExitCode.NOT_TRUSTED
+
+
+@dataclass(frozen=True)
+class Chapter4:
+    """Make figures 4.4 and B.1 to B.8 of the thesis that need no robot, beside the figures of thesis and author.
+
+    Trains and tests one policy after another, each in its own folder under runs, and writes report.html, tables.json
+    and one PNG per figure; the page says which claims follow. Exit code 0: done; 2: bad input, nothing written; 3: a
+    loss of a run is no longer finite, no report.
+
+    Attributes:
+        out: Folder to write to; it must not hold such runs, unless with --resume.
+        preset: Size of the runs and of their steps; the device's own if not given.
+        num_envs: Worlds of every run; the preset's if not given.
+        iterations: Updates of every policy, 150 on a CPU and the preset's on a GPU if not given. With --resume it may
+            be more than at first.
+        sets: Test sets.
+        worlds: Worlds per test set: 60 targets in five occlusion patterns.
+        seeds: Trainings of PPO, CPO, PCAP and the policies past the thesis, of one seed after another; below three no
+            claim is said to follow.
+        ablation_seeds: Trainings of policies with raw torques, among other trees, with other springs.
+        seed: First seed of everything random.
+        rounds: Rounds of simulated motions for figure B.7; 0 leaves it out.
+        mpc: Test sampling MPC without the tree, too, and count it to the oracle.
+        device: cpu, cuda or cuda:N; a GPU if there is one.
+        resume: Go on with runs that were killed or are to be longer, keep those that are done, and add seeds.
+        json: Print tables.json as JSON instead of a sentence.
+    """
+
+    out: Path
+    preset: Preset | None = None
+    num_envs: int | None = None
+    iterations: int | None = None
+    sets: int = 1
+    worlds: int = 300
+    seeds: int = 3
+    ablation_seeds: int = 1
+    seed: int = 0
+    rounds: int = 2
+    mpc: bool = True
+    device: str | None = None
+    resume: bool = False
+    json: bool = False
+
+    def run(self, registry: TaskRegistry | None = None) -> int:
+        """Reproduce the chapter, say what came out and where the report is; return the exit code."""
+        require_rsl_rl()
+        start_warp()
+        registry = registry or known_tasks()
+        from ..learn.runs.processes import Processes
+        from ..learn.thesis.chapter4.reproduce import reproduce, stages
+        from ..learn.thesis.chapter4.runs import Options
+
+        device = Processes().device(self.device)
+        options = Options(
+            self.preset or preset_of(device), device, self.num_envs, self.iterations, self.sets, self.worlds,
+            self.seeds, self.ablation_seeds, self.seed, self.rounds, self.mpc,
+        )  # fmt: skip
+        options.check()
+        return _shown(self.out, stages(options, registry), lambda advance: reproduce(
+            self.out, options, registry, resume=self.resume, advance=advance), self.json)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -74,6 +138,7 @@ class Chapter5:
         seed: First seed of everything random.
         device: cpu, cuda or cuda:N; a GPU if there is one.
         resume: Go on with runs that were killed or are to be longer, keep those that are done, and add seeds.
+        json: Print tables.json as JSON instead of a sentence.
     """
 
     out: Path
@@ -87,13 +152,13 @@ class Chapter5:
     seed: int = 0
     device: str | None = None
     resume: bool = False
+    json: bool = False
 
     def run(self, registry: TaskRegistry | None = None) -> int:
         """Reproduce the chapter, say what came out and where the report is; return the exit code."""
         require_rsl_rl()
         start_warp()
-        registry = registry or builtin_tasks()
-        from ..learn.policies.train import LostError
+        registry = registry or known_tasks()
         from ..learn.runs.processes import Processes
         from ..learn.thesis.chapter5.reproduce import reproduce, stages
         from ..learn.thesis.chapter5.runs import Options
@@ -104,17 +169,27 @@ class Chapter5:
             self.worlds, self.seeds, self.seed,
         )  # fmt: skip
         options.check()
-        try:
-            with bars(stages(options)) as advance:
-                line = reproduce(self.out, options, registry, resume=self.resume, advance=advance)
-        except LostError as error:
-            warn(f"{error}; there is no report")
-            return ExitCode.NOT_TRUSTED
-        except KeyboardInterrupt:
-            print(f"bough: interrupted; go on with the same command and --resume ({self.out})", file=sys.stderr)
-            return ExitCode.INTERRUPTED
-        print(f"{line} Open {shown(self.out)}/report.html")
-        return ExitCode.DONE
+        return _shown(self.out, stages(options), lambda advance: reproduce(
+            self.out, options, registry, resume=self.resume, advance=advance), self.json)  # fmt: skip
+
+
+def _shown(
+    out: Path, stages: Mapping[str, int | None], work: Callable[[Callable[[str, int], None]], str], as_json: bool
+) -> int:
+    """Reproduce a chapter of policies with progress shown; say what came out and return the exit code."""
+    from ..learn.policies.train import LostError
+
+    try:
+        with bars(stages) as advance:
+            line = work(advance)
+    except LostError as error:
+        warn(f"{error}; there is no report")
+        return ExitCode.NOT_TRUSTED
+    except KeyboardInterrupt:
+        print(f"bough: interrupted; go on with the same command and --resume ({out})", file=sys.stderr)
+        return ExitCode.INTERRUPTED
+    tell(f"{line} Open {shown(out)}/report.html", out / "tables.json", as_json)
+    return ExitCode.DONE
 
 
 @dataclass(frozen=True)
@@ -127,6 +202,7 @@ class Reproduce:
 
     chapter: (
         Annotated[Chapter3, tyro.conf.subcommand("chapter3", prefix_name=False)]
+        | Annotated[Chapter4, tyro.conf.subcommand("chapter4", prefix_name=False)]
         | Annotated[Chapter5, tyro.conf.subcommand("chapter5", prefix_name=False)]
     )
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from ..sim.base.console import shown, start_warp, warn
+from ..sim.base.console import shown, start_warp, tell, warn
 from ..sim.base.errors import InputError, check_seed
 from ..sim.base.files import check_output, check_regular, output_folder, read_text
 from ..sim.engine.stepping import Stepping
@@ -17,6 +19,9 @@ from ..sim.formats.load import load_mechanism
 from .exit_codes import ExitCode
 
 if TYPE_CHECKING:
+    from ..learn.cases.case import BranchCase, JointCase
+    from ..learn.inference.replayed import Replayed
+    from ..learn.systems.model_file import Model
     from ..sim.base.types import Array
     from ..sim.engine.simulator import Simulator
     from ..sim.engine.trajectory import Trajectory
@@ -24,7 +29,7 @@ if TYPE_CHECKING:
 
 MOST_SUBSTEPS = 10_000
 """Equal parts of a step: with more, a second at the default step takes hours, and smaller --dt is what is meant."""
-_ALLOWED = "an MJCF file (.xml, .mjcf), a URDF file (.urdf) or a case folder"
+_ALLOWED = "an MJCF file (.xml, .mjcf), a URDF file (.urdf), a MuJoCo model (.mjb) or a case folder"
 
 
 @dataclass(frozen=True)
@@ -32,12 +37,13 @@ class Simulate:
     """Simulate the tree of an MJCF or URDF file, or a case's branch under its recorded forces.
 
     Writes trajectory.npz (time [T], body_name [B], body_pos [T, W, B, 3], body_quat [T, W, B, 4]; the first time is the
-    start) and trajectory.png. Of a case of joints, which needs --model, it holds channel [C], simulated and measured
-    [T, R, C]. With --model the RMSE in the recordings that it was not fitted to is printed.
+    start; and the bodies' capsules, for bough view) and trajectory.png. Of a case of joints, which needs --model, it
+    holds channel [C], simulated and measured [T, R, C]. With --model the RMSE in the recordings that it was not fitted
+    to is printed. Exit code 0: done; 2: bad input, nothing written; 3: written, but every world was frozen.
 
     Attributes:
-        source: MJCF file (.xml), URDF file (.urdf) or case folder. A case's branch has nominal springs, those of beams
-            of green wood, and one world per recording.
+        source: MJCF file (.xml), URDF file (.urdf), compiled MuJoCo model (.mjb) or case folder. A case's branch has
+            nominal springs, those of beams of green wood, and one world per recording.
         out: Folder to write to.
         model: model.yaml with the springs, dampers and effects of a case's branch, instead of nominal springs, or of
             its joints. It is replayed as bough diagnose does, at the case's time step.
@@ -52,8 +58,12 @@ class Simulate:
         seed: Seed of --bend.
         effect: An effect that acts in all worlds alike, NAME:PARAMETER=VALUE[,PARAMETER=VALUE...] in SI units, such as
             dry_friction:torque_Nm=0.05; once for each effect. Laws at joints act at all of them, tip_mass at all tips.
+        ignore: What of a file may be left out that bough does not simulate, such as limits,contacts,actuators; all
+            stands for everything. A file with more is refused by name. What was left out is printed, and kept in
+            trajectory.npz.
         dump_faults: Write the last hundred states of every world of a file's tree that is frozen into this folder, a
             file each for bough replay.
+        json: Print worlds, steps, errors and what was left out as JSON instead of a sentence.
     """
 
     source: tyro.conf.Positional[Path]
@@ -69,7 +79,14 @@ class Simulate:
     device: str | None = None
     seed: int = 0
     effect: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    ignore: str = ""
     dump_faults: Path | None = None
+    json: bool = False
+
+    @property
+    def ignored(self) -> tuple[str, ...]:
+        """Words of --ignore."""
+        return tuple(word.strip() for word in self.ignore.split(",") if word.strip())
 
     @property
     def stepping(self) -> Stepping:
@@ -78,20 +95,20 @@ class Simulate:
 
     def run(self) -> int:
         """Simulate a file, say what was written and return 0, or 3 where no world reached the end."""
-        trajectory = simulate_file(self)
-        return report(self, trajectory)
+        trajectory, left_out = simulate_file(self)
+        return report(self, trajectory, {"left_out": left_out})
 
 
-def report(options: Simulate, trajectory: Trajectory) -> int:
-    """Print the last line of the command; return its exit code."""
+def report(options: Simulate, trajectory: Trajectory, errors: Mapping[str, Any] = MappingProxyType({})) -> int:
+    """Print the last line of the command, or its JSON with a model's errors; return its exit code."""
     worlds = trajectory.body_pos.shape[1]
     frozen = int(sum(math.isfinite(t) for t in trajectory.frozen_time))
     lost = f", {frozen} frozen" if frozen else ""
-    print(
-        f"{_count(worlds, 'world')} of {_count(len(trajectory.body_name), 'body', 'bodies')}{lost}, "
-        f"{trajectory.time[-1]:.4g} s in {len(trajectory.time) - 1} steps: "
-        f"{shown(options.out)}/trajectory.npz, trajectory.png"
-    )
+    bodies, steps, seconds = len(trajectory.body_name), len(trajectory.time) - 1, float(trajectory.time[-1])
+    said = f"{_count(worlds, 'world')} of {_count(bodies, 'body', 'bodies')}{lost}, {seconds:.4g} s in {steps} steps"
+    result = {"out": str(options.out), "worlds": worlds, "bodies": bodies, "frozen": frozen, "seconds": seconds,
+              "steps": steps, **errors}  # fmt: skip
+    tell(f"{said}: {shown(options.out)}/trajectory.npz, trajectory.png", result, options.json)
     return ExitCode.NOT_TRUSTED if frozen == worlds else ExitCode.DONE
 
 
@@ -99,30 +116,37 @@ def _count(n: int, one: str, many: str = "") -> str:
     return f"{n} {one if n == 1 else many or one + 's'}"
 
 
-def simulate_file(options: Simulate) -> Trajectory:
+def simulate_file(options: Simulate) -> tuple[Trajectory, list[str]]:
     """Simulate the tree of an MJCF or URDF file and write the trajectory and its figure, whole or not at all.
+
+    Returns:
+        The motion, and what of the file was left out.
 
     Raises:
         InputError: An option out of range, a file that cannot be read or simulated, a folder that cannot be written.
     """
+    import numpy as np
+
     check(options)
     if options.model is not None:
         raise InputError("--model", "", str(options.model), "only with a case folder")
     if options.dump_faults is not None:
         check_output(options.dump_faults)
     with output_folder(options.out) as folder:
-        mechanism = load_mechanism(options.source, _ALLOWED)
+        mechanism = load_mechanism(options.source, _ALLOWED, ignore=options.ignored)
         for line in mechanism.ignored:
             warn(f"{options.source}: left out: {line}")
         steps = options.stepping.steps(2.0 if options.seconds is None else options.seconds)
         options.stepping.check_memory(steps, options.worlds or 1, mechanism.tree.num_links)
         rows = start_rows(options, mechanism)
         start_warp()
+        from ..sim.engine.effect_words import read_effects
         from ..sim.engine.prepare import make_simulator  # Warp, after what is quick to refuse
-        from .effect_option import read_effects
 
         effects = read_effects(options.effect)
-        simulator = make_simulator(options.stepping, mechanism.tree, mechanism.gravity, len(rows), effects)
+        simulator = make_simulator(
+            options.stepping, mechanism.tree, mechanism.gravity, len(rows), effects, mechanism.friction
+        )
         _set_start(options, simulator, rows)
         advise(options, simulator)
         from ..sim.engine.trajectory import record
@@ -130,12 +154,13 @@ def simulate_file(options: Simulate) -> Trajectory:
 
         last = None if options.dump_faults is None else simulator.keep_last()
         trajectory = record(simulator, steps)
-        trajectory.save(folder / "trajectory.npz")
+        further = {"left_out": np.array(mechanism.ignored)} if mechanism.ignored else {}
+        trajectory.save(folder / "trajectory.npz", mechanism.tree, **further)
         trajectory_figure(mechanism.tree, trajectory).savefig(folder / "trajectory.png", dpi=150)
         if last is not None and options.dump_faults is not None:
             with output_folder(options.dump_faults) as faults:
                 last.write(faults)
-    return trajectory
+    return trajectory, mechanism.ignored
 
 
 def advise(options: Simulate, simulator: Simulator) -> None:
@@ -167,6 +192,8 @@ def check(options: Simulate) -> None:
     check_seed("", options.seed)
     faults = options.dump_faults
     need(faults is None or not options.source.is_dir(), "--dump-faults", f"{faults} with a case", "a tree's file")
+    whole = not options.ignored or not options.source.is_dir()
+    need(whole, "--ignore", f"{options.ignore} with a case", "a tree's file")
     need(options.qpos is None or options.bend == 0.0, "--bend", f"{options.bend:g} and --qpos", "one of the two")
 
 
@@ -282,3 +309,92 @@ def _set_start(options: Simulate, simulator: Simulator, rows: Array) -> None:
     except InputError as error:
         raise InputError(options.qpos or options.source, error.place, error.found, error.allowed) from None
     simulator.refresh()
+
+
+# ---- cases -----------------------------------------------------------------------------------------------------------
+
+
+def simulate_case(options: Simulate) -> int:
+    """Simulate one world per recording, write the trajectory and its figure, say so; return the exit code.
+
+    Beside what a file's trajectory holds there is ``grasp_displacement`` [T, W, 3], the displacement of the grasp point
+    [m]. With a model the RMSE in the recordings that it was not fitted to is printed, as `bough diagnose` claims it.
+
+    Raises:
+        InputError: A faulty case, one of joints without a model, an option that a case decides itself, a folder that
+            cannot be written.
+    """
+    from ..learn.cases.case import JointCase, load_case
+
+    check(options)
+    _refuse_start(options)
+    with output_folder(options.out) as folder:
+        case = load_case(options.source)
+        if isinstance(case, JointCase) and options.model is None:
+            allowed = "--model model.yaml with a case of joints, or branch-gap-case/1"
+            raise InputError(options.source / "meta.yaml", "format", "joint-gap-case/1 without a model", allowed)
+        for line in case.warnings:
+            warn(line)
+        start_warp()
+        from ..learn.systems.model_file import model_of  # torch and Warp, after what is quick to refuse
+
+        model = None if options.model is None else model_of(options.model, case)
+        if isinstance(case, JointCase):
+            assert model is not None
+            return _case_joints(options, case, model, folder)
+        return _case_branch(options, case, model, folder)
+
+
+def _case_branch(options: Simulate, case: BranchCase, model: Model | None, folder: Path) -> int:
+    from ..learn.replay.case_replay import case_figure, replay
+    from ..learn.systems.branch import BranchSystem
+    from ..learn.systems.model_file import BranchModel
+
+    assert model is None or isinstance(model, BranchModel)
+    trajectory, grasp = replay(case, options.stepping, seconds=options.seconds, model=model)
+    trajectory.save(folder / "trajectory.npz", BranchSystem(case).tree, grasp_displacement=grasp)
+    named = "" if model is None else model.name
+    case_figure(case, trajectory.time, grasp, named).savefig(folder / "trajectory.png", dpi=150)
+    return report(options, trajectory, {} if model is None else _missed(options, case, model)[1])
+
+
+def _case_joints(options: Simulate, case: JointCase, model: Model, folder: Path) -> int:
+    from ..learn.inference.replayed_figure import replayed_figure, save_replayed
+    from ..learn.systems.joint_file import JointModel
+
+    if options.seconds is not None:
+        raise InputError("--seconds", "", f"{options.seconds:g}", "not with a case of joints, which is replayed whole")
+    assert isinstance(model, JointModel)
+    case = model.as_fitted(case)
+    seen, errors = _missed(options, case, model)
+    save_replayed(folder / "trajectory.npz", case, seen)
+    replayed_figure(case, seen, model.name).savefig(folder / "trajectory.png", dpi=150)
+    count = len(seen.recordings)
+    said = f"{count} recording{'s' * (count > 1)} simulated: {shown(options.out)}/trajectory.npz, trajectory.png"
+    tell(said, {"out": str(options.out), "recordings": count, **errors}, options.json)
+    return ExitCode.DONE
+
+
+def _missed(options: Simulate, case: BranchCase | JointCase, model: Model) -> tuple[Replayed, dict[str, Any]]:
+    """Return what a model simulates of all recordings and misses of those held out, and print that for people."""
+    from ..learn.inference.replayed import replay_model
+    from ..learn.inference.report import unit_of
+
+    if not model.claimed:
+        warn(f"{model.name}: the effects are the nearest that a diagnosis found; it does not claim them")
+    seen = replay_model(case, model)
+    files = [case.trajectories[j].file for j in seen.test]
+    apart = "not used in its fit" if set(seen.test).isdisjoint(seen.train) else "the only recording"
+    if not options.json:
+        print(f"held-out RMSE {seen.rms:.3g} {unit_of(case)} ({', '.join(files)}, {apart})")
+    return seen, {"held_out_rmse": float(seen.rms), "unit": unit_of(case), "held_out": files}
+
+
+def _refuse_start(options: Simulate) -> None:
+    given = {"--qpos": options.qpos, "--worlds": options.worlds, "--bend": options.bend or None}
+    for name, value in given.items():
+        if value is not None:
+            allowed = "only with a file: a case starts at rest, one world for each recording"
+            raise InputError(name, "", str(value), allowed)
+    if options.effect:
+        raise InputError("--effect", "", options.effect[0], "only with a file: a case's effects stand in --model")

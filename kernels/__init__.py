@@ -1,6 +1,6 @@
 """Device code (Warp) for batches of articulated trees; imports nothing but Warp.
 
-The rooms below are in the order in which they may import: lanes, tree, effects, contact, points, tasks.
+The rooms below are in the order in which they may import: lanes, tree, effects, contact, points, tasks, touch.
 """
 
 import warp as wp

@@ -38,9 +38,12 @@ def functions(script: str) -> set[str]:
 
 
 def test_every_script_is_declared():
-    """Declare each script that runs as a program, and none that does not; `run.py` is what runs them."""
+    """Declare each script that runs as a program, and none that does not; `run.py` is what runs them.
+
+    `menagerie.py` needs a collection that is not bough's.
+    """
     programs = {p.stem for p in FOLDER.glob("*.py") if 'if __name__ == "__main__":' in p.read_text()}
-    assert programs - {"run"} == {b.script for b in BENCHMARKS}
+    assert programs - {"run", "menagerie"} == {b.script for b in BENCHMARKS}
     assert len({b.name for b in BENCHMARKS}) == len(BENCHMARKS)
 
 
@@ -228,9 +231,10 @@ def test_pages_show_what_was_measured(page):
 
 
 def test_every_block_stands_on_one_page():
-    """Show each block once; the speed of trees is in the README."""
-    names = [name for page in tables.pages() for name in tables.names_in(page.read_text())]
-    assert sorted(names) == sorted(["declared", "bounds", *tables.BLOCKS])
+    """Show each block once, and again what the comparison with other simulators shows; trees' speed is in the README."""
+    shown = {page.name: tables.names_in(page.read_text()) for page in tables.pages()}
+    assert shown.pop("comparison.md") == ["tree", "contact", "identification"]
+    assert sorted(name for names in shown.values() for name in names) == sorted(["declared", "bounds", *tables.BLOCKS])
     assert "tree" in tables.names_in((ROOT / "README.md").read_text())
 
 
@@ -317,3 +321,32 @@ def test_a_missed_bound_is_told_and_kept(tmp_path):
     (verdict,) = result.verdicts
     assert not verdict.met and verdict.line() in done.stdout
     assert result.arguments == [] and result.figures == [Figure("a", "x", 2.0, "s")]
+
+
+def test_menagerie_tells_what_loads(tmp_path, capsys, monkeypatch):
+    """Run the table on a collection of three: one as it is, one without limits, one that says what is in its way."""
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    import menagerie
+
+    geom = '<geom size=".1" pos=".1 0 0" contype="0" conaffinity="0"/>'
+    bodies = {
+        "plain": f'<body><joint damping=".1" frictionloss=".1"/>{geom}<body pos=".3 0 0"><joint/>{geom}</body></body>',
+        "limited": f'<body><joint range="-1 1" armature=".01"/>{geom}</body><body gravcomp="1"><joint/>{geom}</body>',
+        "odd": f'<body><joint springdamper="1 1"/>{geom}</body>',
+    }
+    links = "".join(f"| {name} | [MIT]({name}/LICENSE) |\n" for name in bodies)
+    (tmp_path / "README.md").write_text(f"**Arms.**\n\n{links}\n**Hands.**\n\n| [MIT](hand/LICENSE) |\n")
+    for name, body in bodies.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / f"{name}.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+        (tmp_path / name / "scene.xml").write_text(f'<mujoco>\n<include file="{name}.xml"/></mujoco>')
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- menagerie -->\nold\n<!-- /menagerie -->\nafter\n")
+    assert menagerie.main([str(tmp_path), "--page", str(page)]) == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert rows[0].startswith("| plain/plain.xml, 2 dof | as it is, with the friction of 1 joints | nothing | ")
+    assert "| `--ignore limits,gravcomp` | joint limits (1), gravity compensation (1) | " in rows[1]
+    assert "| no | line 1, <joint>: springdamper | | |" in rows[2]
+    assert all(float(row.split("|")[4]) < 1e-9 for row in rows[:2])
+    text = page.read_text()
+    assert text.startswith("before\n<!-- menagerie -->\n| model |") and "old" not in text and text.endswith("after\n")

@@ -7,8 +7,10 @@ import sys
 import zipfile
 from email.parser import Parser
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pytest
+from bough.cli.main import Command
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
@@ -121,19 +123,29 @@ def test_commands_of_the_pages_exist_in_the_makefile():
     assert {"demo", "test"} <= targets
 
 
+def _commands(choice, before=()):
+    """Yield the words of every command: ``("touch", "record")``."""
+    for annotated in get_args(choice):
+        command, told = get_args(annotated)
+        words, (first, *others) = (*before, told.name), get_type_hints(command, include_extras=True).values()
+        yield from _commands(first, words) if not others and len(get_args(first)) > 1 else [words]
+
+
 def test_commands_of_the_pages_exist():
     """Find every ``bough`` command and option that a page names in the command's help."""
-    helps: dict[str, str] = {}
-    names = "info|forest|simulate|identify|hide|diagnose|exam|train|evaluate|play"
+    commands = {" ".join(words) for words in _commands(Command)}
+    names, helps, begun = "|".join(sorted(commands, reverse=True)), {}, {words.split()[0] for words in commands}
     for page in [*PAGES, ROOT / "Makefile"]:
-        found = re.findall(rf"bough ({names})\b([^`\n]*(?:\n {{4,}}\S[^`\n]*)*)", page.read_text())
-        for command, rest in found:
+        text = page.read_text()
+        for word in re.findall(r"(?:`|bin/)bough ([a-z][a-z-]*)\b", text):
+            assert word in begun, f"{name_of(page)}: bough {word}"
+        for command, rest in re.findall(rf"bough ({names})\b([^`\n]*(?:\n {{4,}}(?!bough )\S[^`\n]*)*)", text):
             if command not in helps:
-                run = [sys.executable, "-m", "bough", command, "--help"]
+                run = [sys.executable, "-m", "bough", *command.split(), "--help"]
                 helps[command] = subprocess.run(run, check=True, capture_output=True, text=True).stdout
-            for option in re.findall(r"--[a-z-]+", rest):
+            for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", rest):
                 assert option in helps[command], f"{name_of(page)}: bough {command} has no {option}"
-    assert {"info", "forest", "simulate", "identify", "hide", "diagnose", "train", "evaluate", "play"} <= set(helps)
+    assert set(helps) == commands
 
 
 @pytest.mark.parametrize("block", EXAMPLES)

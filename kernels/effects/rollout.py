@@ -19,7 +19,7 @@ import warp as wp
 from ..lanes.algebra import add, add_cross, add_scaled, cross, div, dot, mul, norm, rotate, sub, unrotate
 from ..lanes.real import SOURCE, fma, fnma, real, sqrt_, where_neg
 from ..tree.observe import locate_links
-from ..tree.rollout import Moment, between, share_of, write_gains, write_joints, write_point
+from ..tree.rollout import Moment, between, look_ahead, share_of, write_gains, write_joints, write_point
 from .terms import (
     CALM,
     GROUPS,
@@ -388,6 +388,7 @@ def replay_joints(
             now = Moment(j, k, wp.min(k + 1, n - 1), step, substeps, hold)
             drive(e, row, delay, u, fx, s, driven, input_in, now, n, rate, like, law)
             since = wp.float64(k * substeps + step) * h
+            look_ahead(e, m, x)
             advance(e, row, m, x, u, fx, s, h, begin + since, bound, MOVING)
             if step == 0:
                 write_gains(e, k, watched, x, h, output_out)

@@ -228,7 +228,7 @@ def fold_laws(
         B = skew(mc, s.U[row, i])
         pushed = u.force[e, i]
         f = own_force(row, i, s, mass, mc) - pushed
-        n0 = add_cross(own_moment(row, i, s, A, mc), pushed, rotate(pose, u.point[e, i]))
+        n0 = add_cross(own_moment(row, i, s, A, mc) - u.torque[e, i], pushed, rotate(pose, u.point[e, i]))
         if is_on(e, at.link, fx):
             f = f - fx.wind[row, i]
             n0 = n0 - fx.swirl[row, i]

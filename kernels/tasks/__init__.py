@@ -1,4 +1,4 @@
-"""Kernels of tasks: placing a scene, rewards, observations.
+"""Kernels of tasks: rewards, observations and measures as parts that are composed, control, placing scenes.
 
 Uses: `kernels.lanes`.
 """

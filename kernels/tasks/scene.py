@@ -12,6 +12,8 @@ first proposal that breaks no rule is taken, else the one that breaks them least
 - the target's nearest part lies within reach; the arm's home pose is free of the branches and of the target.
 """
 
+from typing import Any
+
 import warp as wp
 
 from ..lanes.philox import TURN, uniform4
@@ -97,8 +99,8 @@ def between_log(bounds: wp.vec2, u: float) -> float:
 
 
 @wp.func
-def planted(p: wp.vec3, place: Place) -> wp.vec3:
-    """Point of the tree's frame in world axes: turned about z, then moved."""
+def planted(p: wp.vec3, place: Any) -> wp.vec3:
+    """Point of the tree's frame in world axes: turned about z by ``place.turn``, then moved to ``place.root``."""
     c = wp.cos(place.turn)
     s = wp.sin(place.turn)
     return place.root + wp.vec3(c * p[0] - s * p[1], s * p[0] + c * p[1], p[2])

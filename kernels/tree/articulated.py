@@ -114,10 +114,12 @@ def place_links(e: int, row: int, m: Any, x: Any, s: Any):
 def place_scalar(e: int, row: int, i: int, p: int, kind: int, m: Any, x: Any, s: Any, rest_pose: Any, r: Any):
     """Place a link on a revolute (turns about s), prismatic (slides along s) or fixed joint.
 
-    A slide adds s q to r, and the Coriolis acceleration 2 w_p x s qd.
+    A slide adds s q to r, and the Coriolis acceleration 2 w_p x s qd. The rate is ``velocity.x`` and what a replay adds
+    to it to have that in the middle of a step, ``velocity.y`` (`rollout.look_ahead`; zero elsewhere).
     """
+    v = x.velocity[e, i]
     axis = rotate(rest_pose, m.axis[e, i])
-    relative = axis * x.velocity[e, i].x
+    relative = axis * (v.x + v.y)
     spin = s.spin[row, p]
     alpha0 = s.alpha0[row, p]
     accel0 = s.accel0[row, p]
@@ -217,7 +219,7 @@ def fold_links(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64):
 
 @wp.func(inline=True)
 def fold_links_loaded(e: int, row: int, m: Any, x: Any, u: Any, s: Any, h: wp.float64):
-    """Fold as `fold_links` does, under forces applied at points of the links and efforts applied at the joints."""
+    """Fold as `fold_links` does, under forces at points of the links, torques on them and efforts at the joints."""
     n = m.count[e]
     for step in range(n):
         i = n - step
@@ -228,7 +230,7 @@ def fold_links_loaded(e: int, row: int, m: Any, x: Any, u: Any, s: Any, h: wp.fl
         B = skew(mc, s.U[row, i])
         force = u.force[e, i]
         f = own_force(row, i, s, mass, mc) - force
-        n0 = add_cross(own_moment(row, i, s, A, mc), force, rotate(pose, u.point[e, i]))
+        n0 = add_cross(own_moment(row, i, s, A, mc) - u.torque[e, i], force, rotate(pose, u.point[e, i]))
         fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + u.effort[e, i])
 
 

@@ -72,7 +72,7 @@ def sum_forces(e: int, row: int, m: Any, x: Any, u: Any, qdd: Any, s: Any, effor
         mc = rotate(pose, m.com[e, i]) * mass
         force = u.force[e, i]
         s.f[row, i] = own_force(row, i, s, mass, mc) - force
-        moment = own_moment(row, i, s, own_inertia(e, row, i, m, s), mc)
+        moment = own_moment(row, i, s, own_inertia(e, row, i, m, s), mc) - u.torque[e, i]
         s.n[row, i] = add_cross(moment, force, rotate(pose, u.point[e, i]))
     for step in range(n):
         i = n - step

@@ -63,10 +63,11 @@ def _state_structs(t: SimpleNamespace) -> dict[str, Any]:
 
     @wp.struct
     class Load:
-        """Forces at points of links, efforts at joints."""
+        """Forces at points of links, torques on links, efforts at joints."""
 
         force: wp.array2d(dtype=Vec)
         point: wp.array2d(dtype=Vec)
+        torque: wp.array2d(dtype=Vec)
         effort: wp.array2d(dtype=Vec)
 
     return {"State": State, "Load": Load}

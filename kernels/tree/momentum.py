@@ -85,13 +85,14 @@ def add_gravity(row: int, s: Any, h: wp.float64):
 
 @wp.func
 def add_impulses(e: int, row: int, m: Any, u: Any, s: Any, h: wp.float64):
-    """Add the impulses of the applied forces, h (F, x x F), and of the root's efforts to the momenta before a step."""
+    """Add the impulses of applied forces and torques, h (F, x x F + t), and of the root's efforts to the momenta."""
     for i in range(1, m.count[e] + 1):
         force = u.force[e, i]
         impulse = force * real(h, force.x)
         point = s.accel[row, i] + rotate(s.pose[row, i], u.point[e, i])
         s.f[row, 0] = s.f[row, 0] + impulse
-        s.n[row, 0] = add_cross(s.n[row, 0], point, impulse)
+        turned = add_scaled(s.n[row, 0], u.torque[e, i], real(h, force.x))
+        s.n[row, 0] = add_cross(turned, point, impulse)
     root = wp.where(m.free[e] == FLOATING, 4, 1)
     torque = rotate(s.pose[row, root], u.effort[e, root])
     s.n[row, 0] = add_scaled(s.n[row, 0], torque, real(h, torque.x))

@@ -13,11 +13,20 @@ import warp as wp
 
 from ..lanes.algebra import add, add_cross, rotate
 from ..lanes.real import SOURCE, mul, real, sub
-from .articulated import advance_loaded
+from .articulated import SPHERICAL, advance_loaded
 from .layout import layout_of
 from .observe import locate_links
 
-__all__ = ["Moment", "between", "rollout_kernels", "share_of", "write_gains", "write_joints", "write_point"]
+__all__ = [
+    "Moment",
+    "between",
+    "look_ahead",
+    "rollout_kernels",
+    "share_of",
+    "write_gains",
+    "write_joints",
+    "write_point",
+]
 
 
 @wp.struct
@@ -111,6 +120,19 @@ def write_gains(e: int, k: int, watched: wp.array(dtype=int), x: Any, h: wp.floa
 
 
 @wp.func(inline=True)
+def look_ahead(e: int, m: Any, x: Any):
+    """Write by how much each rate will have changed in the middle of the next step: half of its change in the last one.
+
+    A step has coordinates and efforts in its middle. With velocity products there too it is of second order. Of joints
+    of one axis ``velocity`` holds the rate, this change, and the rate before the last step.
+    """
+    for i in range(1, m.count[e] + 1):
+        if m.kind[e, i] != SPHERICAL:
+            v = x.velocity[e, i]
+            x.velocity[e, i] = type(v)(v.x, (v.x - v.z) * real(0.5, v.x), v.x)
+
+
+@wp.func(inline=True)
 def replay_joints(
     e: int, row: int, j: int, samples: int, m: Any, x: Any, u: Any, driven: wp.array(dtype=int), hold: int,
     watched: wp.array(dtype=int), input_in: wp.array3d(dtype=wp.float64), s: Any, substeps: int, h: wp.float64,
@@ -125,6 +147,7 @@ def replay_joints(
                 effort = u.effort[e, driven[d]]
                 effort.x = real(between(input_in, now, d), effort.x)
                 u.effort[e, driven[d]] = effort
+            look_ahead(e, m, x)
             advance_loaded(e, row, m, x, u, s, h, bound)
             if step == 0:
                 write_gains(e, k, watched, x, h, output_out)

@@ -40,7 +40,7 @@ class Columns:
 
 def read_columns(
     path: Path, names: tuple[str, ...], *, exact: bool, rows: tuple[int, int] | None = None, clocks: int = 1,
-    optional: tuple[str, ...] = (),
+    optional: tuple[str, ...] = (), header: int = 1,
 ) -> Columns:  # fmt: skip
     """Read named columns of a CSV file with one header line; `table` says which files are read.
 
@@ -51,12 +51,13 @@ def read_columns(
         rows: Half-open range of data rows in use, counted from 0; None takes all. Rows outside it are not looked at.
         clocks: How many of the first columns make the clock; the decimals of these alone are counted.
         optional: Columns of ``names`` that may be missing, all or none of them.
+        header: Line of the header, see `read_table`.
 
     Raises:
         InputError: A column is missing, there twice or one too many; a row has a wrong number of cells; a cell is
             empty, not a number or not finite; ``rows`` lie outside the file; fewer than three rows.
     """
-    table = read_table(path, ",".join(names))
+    table = read_table(path, ",".join(names), header)
     if optional and not set(optional) & set(table.header):
         names = tuple(name for name in names if name not in optional)
     _check_header(table, names, exact, clocks)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...sim.base.errors import InputError
 from ...sim.base.strict_yaml import YamlFile, nearest
-from ...sim.formats.import_mjcf import load_mjcf
+from ...sim.formats.import_mjcf import MEASURED, load_mjcf
 from ...sim.trees.tree import Joint
 from .schema import InputMeta, JointMeta, JointSpecMeta, OutputMeta
 
@@ -183,7 +183,7 @@ def case_joints(meta: JointMeta, folder: Path) -> tuple[JointAxis, ...]:
     """
     if meta.mechanism.mjcf is None:
         return tuple(_joint(i, spec) for i, spec in enumerate(meta.mechanism.joints or ()))
-    mechanism, axes = load_mjcf(folder / meta.mechanism.mjcf), []
+    mechanism, axes = load_mjcf(folder / meta.mechanism.mjcf, MEASURED), []
     for link in np.flatnonzero(mechanism.tree.joint != Joint.FIXED).tolist():
         kind = _TYPES.get(Joint(mechanism.tree.joint[link]))
         if kind is None:

@@ -6,7 +6,8 @@ Three estimates, each of which can only be too large where its assumption fails:
 - replicates: half the variance of the difference of two recordings of the same experiment (pure error);
 - differences: the m-th difference of white noise has variance binomial(2m, m) sigma^2, and a smooth signal leaves less
   in it the higher m is, as long as it is sampled more than six times a period. Median absolute deviations keep the few
-  samples around a release out.
+  samples around a release out. Of rounded samples the median is that of grouped data, with Sheppard's correction: the
+  differences are whole counts, and their plain median a whole count too, up to a third beside the deviation.
 
 Since a failure only adds variance, the pooled value uses the smallest estimate and all that agree with it.
 """
@@ -24,6 +25,9 @@ from .case import BRANCH_COLUMNS, DERIVATIVE_NOISE, BranchCase, JointCase
 ORDERS = tuple(range(2, 11))
 AGREE = 2.0
 """Estimates that differ by less than this many of their standard errors are pooled."""
+#: Steps between values, relative to their median, that are round-off of a file's numbers; and those, relative to the
+#: differences' median, that round nothing.
+FUZZ, FINE = 1e-4, 1e-3
 _MAD = 1.4826
 _QUIET_MIN = 4
 
@@ -112,15 +116,16 @@ def difference_sigma(signals: list[Array], orders: tuple[int, ...] = ORDERS) -> 
     Takes the lowest order whose estimate no higher order undercuts by more than the higher one's standard error
     (Lepski's rule): a higher order removes more signal but knows the noise less well.
     """
-    estimates = [_one_order(signals, m) for m in orders if max(len(x) for x in signals) > 2 * m]
+    step = _resolution(signals)
+    estimates = [_one_order(signals, m, step) for m in orders if max(len(x) for x in signals) > 2 * m]
     for i, (sigma, error) in enumerate(estimates):
         if all(sigma <= higher + spread for higher, spread in estimates[i + 1 :]):
             return sigma, error
     return np.nan, np.nan
 
 
-def _one_order(signals: list[Array], order: int) -> tuple[float, float]:
-    """Robust sigma from one order of differences and its standard error.
+def _one_order(signals: list[Array], order: int, step: float) -> tuple[float, float]:
+    """Robust sigma from one order of differences of samples that are rounded to ``step``, and its standard error.
 
     Neighbouring differences share samples: their correlation at lag j is binomial(2m, m + j) / binomial(2m, m) with
     alternating sign, so that n of them are worth n / sum of its squares. The median absolute deviation has 37 % of the
@@ -130,8 +135,24 @@ def _one_order(signals: list[Array], order: int) -> tuple[float, float]:
     scale = np.sqrt(comb(2 * order, order))
     correlation = np.array([comb(2 * order, order + j) / comb(2 * order, order) for j in range(1, order + 1)])
     worth = len(differences) / (1 + 2 * np.sum(correlation**2))
-    sigma = _MAD * float(np.median(np.abs(differences))) / scale
+    sigma = _spread(np.abs(differences), step) / scale
     return sigma, sigma / np.sqrt(2 * 0.37 * worth)
+
+
+def _spread(sizes: Array, step: float) -> float:
+    """Return the robust deviation of values with these sizes, multiples of ``step``.
+
+    Each value is spread evenly over its rounding, which adds step^2 / 12 to the variance.
+    """
+    plain = float(np.median(sizes))
+    if step <= FINE * plain or step == 0.0:
+        return _MAD * plain
+    group, count = np.unique(np.round(sizes / step), return_counts=True)
+    total = np.cumsum(count)
+    k = int(np.searchsorted(total, 0.5 * len(sizes)))
+    low, high = max(group[k] - 0.5, 0.0), group[k] + 0.5
+    median = step * (low + (high - low) * (0.5 * len(sizes) - total[k] + count[k]) / count[k])
+    return float(np.sqrt(max((_MAD * median) ** 2 - step**2 / 12, 0.0)))
 
 
 def pool(estimates: list[tuple[float, float]]) -> float:
@@ -158,8 +179,9 @@ def _with_error(squares: float, freedom: int) -> tuple[float, float]:
 
 
 def _resolution(signals: list[Array]) -> float:
-    """Smallest step between different values of a channel."""
+    """Smallest step between different values of a channel; last digits of one value written otherwise are none."""
     steps = np.diff(np.unique(np.concatenate(signals)))
+    steps = steps[steps > FUZZ * np.median(steps)] if len(steps) else steps
     return float(steps.min()) if len(steps) else 0.0
 
 

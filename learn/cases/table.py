@@ -52,12 +52,13 @@ class Table:
         return text if self.separator == "," else text.replace(",", ".")
 
 
-def read_table(path: Path, example: str) -> Table:
+def read_table(path: Path, example: str, header: int = 1) -> Table:
     """Read the lines of a CSV file.
 
     Args:
         path: CSV file, UTF-8 or UTF-16 with a byte-order mark.
         example: The header that an empty file should have had.
+        header: Line of the header, where lines that are no comments stand before it.
 
     Raises:
         InputError: The file cannot be read or is empty; there is no header.
@@ -65,7 +66,7 @@ def read_table(path: Path, example: str) -> Table:
     lines = read_text(path).removeprefix("\ufeff").rstrip().splitlines()
     first = lines[0] if lines else ""
     stated = first[4:] if first.startswith("sep=") and first[4:] in tuple(_STATED) else ""
-    at = 1 if stated else 0
+    at = max(1 if stated else 0, header - 1)
     while at < len(lines) and (not lines[at].strip() or lines[at].lstrip().startswith("#")):
         at += 1
     if not lines or (at == len(lines) and not lines[-1].lstrip().startswith("#")):
@@ -75,13 +76,13 @@ def read_table(path: Path, example: str) -> Table:
         if at < 0 or not lines[at].lstrip().startswith("#"):
             allowed = f"a header line with the names of the columns, such as {example}"
             raise InputError(path, f"line {at + 2} (header)", "numbers", allowed)
-    header = lines[at].lstrip().removeprefix("#").strip()
-    separator = stated or next((s for s in (";", "\t", ",") if s in header), _UNIT)
+    head = lines[at].lstrip().removeprefix("#").strip()
+    separator = stated or next((s for s in (";", "\t", ",") if s in head), _UNIT)
     body = lines[at + 1 :]
-    if separator == _UNIT or '"' in header or any('"' in line for line in body):
-        header, *body = (_plain(line, separator) for line in [header, *body])
+    if separator == _UNIT or '"' in head or any('"' in line for line in body):
+        head, *body = (_plain(line, separator) for line in [head, *body])
         separator = _UNIT
-    names = tuple(cell.strip() for cell in header.split(separator))
+    names = tuple(cell.strip() for cell in head.split(separator))
     return Table(path, names, at + 1, body, at + 2, separator)
 
 

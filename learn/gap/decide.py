@@ -13,7 +13,7 @@ from ..replay.equation_error import fits_torque
 from ..systems.acting import Acting
 from .diagnosis import Settings, VerdictName
 from .evidence import ALARM, lacks_fit
-from .models.certain import uncertain
+from .models.certain import doubtful
 from .models.fitted import QUIET, FittedModels, Model
 from .models.left_out import left_out_chi2, profiles
 from .prepare import Base
@@ -46,8 +46,10 @@ FURTHER, FURTHER_SHARE, FURTHER_SHARE_TORQUE = 20.0, 0.3, 0.1
 WORTH, WORTH_JOINT, MOST, NEARLY_ALL = 0.1, 0.08, 0.88, 0.93
 #: Least share of a branch's excess that one law at two joints must explain to be named.
 TWICE = 0.97
-#: Least share of a further effect's gain that must remain on recordings that were left out of the fits.
-KEPT = 0.5
+#: Least share of a further effect's gain that must remain on recordings that were left out of the fits, and what it may
+#: lose in one experiment left out, as a share of what it gains in the mean. Of 39 random pairs of the registry's laws
+#: the right second effect kept 0.63 or more and never lost; of wrong ones in its place 16 kept less or lost more.
+KEPT, LOST = 0.6, 0.1
 #: Difference of the information criterion below which two models cannot be told apart.
 TIED = 12.0
 
@@ -99,7 +101,7 @@ def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> 
     small = searched.p_value > ALARM or size(models, model, base.motion) < tolerance
     if small and not lacks_fit(models, tolerance * base.motion):
         return "none"
-    certain = not uncertain(models.contest, model)
+    certain = not doubtful(models, model)
     return "effects" if certain and known(models, model) else "unknown"
 
 
@@ -109,7 +111,7 @@ def _borne_out(fitted: FittedModels, model: Model) -> Model:
     The first effect stays: it is the nearest name even where it is not claimed.
     """
     while len(model.members) > 1:
-        off = uncertain(fitted.contest, model)
+        off = doubtful(fitted, model)
         smaller = [m for m in fitted.contained(model) if len(m.members) == len(model.members) - 1
                    and not (off and set(off) <= set(m.members))]  # fmt: skip
         inner = min(smaller, key=fitted.criterion, default=None)
@@ -122,14 +124,33 @@ def _borne_out(fitted: FittedModels, model: Model) -> Model:
 def pays(fitted: FittedModels, model: Model, inner: Model) -> bool:
     """Return whether a model predicts recordings that it was not fitted to better than one with an effect less.
 
-    Of what it gains where it is fitted it must keep the share `KEPT` there. True where nothing can be left out: joints,
-    and branches with replicates of one experiment alone.
+    Of what it gains where it is fitted it must keep the share `KEPT` there, and in no experiment may it do harm: a law
+    that stands in for another pays for one kind of push with another. True where nothing can be left out: joints, and
+    branches with replicates of one experiment alone.
     """
     groups = profiles(fitted.contest)
     if not isinstance(fitted.contest.case, BranchCase) or len(groups) < 2:
         return True
-    outer, less = left_out_chi2(fitted.contest, [model, inner], groups).sum(1).tolist()
-    return bool(less - outer > KEPT * (inner.chi2 - model.chi2))
+    outer, less = left_out_chi2(fitted.contest, [model, inner], groups)
+    return bears_out((less - outer).tolist(), inner.chi2 - model.chi2)
+
+
+def predicts(fitted: FittedModels, model: Model) -> bool:
+    """Return whether a model of a branch predicts experiments that it was not fitted to better than the base does.
+
+    Both have the nuisances here, which the model as it is written has not.
+    """
+    groups = profiles(fitted.contest)
+    if not isinstance(fitted.contest.case, BranchCase) or len(groups) < 2:
+        return False
+    own, less = left_out_chi2(fitted.contest, [model, fitted.base], groups)
+    return bool((less - own).sum() > 0.0)
+
+
+def bears_out(gains: Sequence[float], fitted: float) -> bool:
+    """Return whether gains on experiments left out [G] bear out the gain where a further effect was fitted."""
+    total = sum(gains)
+    return total > KEPT * fitted and min(gains) > -LOST * total / len(gains)
 
 
 def chosen(fitted: FittedModels, most: int) -> Model:

@@ -135,6 +135,21 @@ class Where:
     of_motion: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
+@dataclass(frozen=True)
+class Geometry:
+    """What nuisances of a branch's geometry and mountings have to do with a base model's misfit.
+
+    Attributes:
+        share: What they explain of it, as a share of the motion's rms.
+        furthest: The number that is furthest from what the file says, and by how many deviations, in words.
+        chance: Probability that any of so many numbers is so far off if they are as certain as they are taken to be.
+    """
+
+    share: float = 0.0
+    furthest: str = ""
+    chance: float = 1.0
+
+
 @dataclass
 class Diagnosis:
     """Result of a diagnosis.
@@ -167,6 +182,9 @@ class Diagnosis:
         not_understood: Which results contradict each other (`consistent`).
         remarks: What the data leave open beside the verdict, a sentence each.
         fit: Of joints measured directly: replay or torque, why, and whether the other way can be asked for.
+        geometry: What nuisances of a branch's geometry and mountings have to do with the base model's misfit.
+        ahead: Whether named effects predict experiments left out better than the base model does, beside nuisances that
+            explain more than the tolerance; the gap is without these.
         unstable: What changes the verdict, such as ``a filter of 25 Hz names backlash``; empty if nothing does.
     """
 
@@ -206,6 +224,8 @@ class Diagnosis:
     remarks: tuple[str, ...] = ()
     fit: dict[str, str] = field(default_factory=dict)
     unstable: tuple[str, ...] = ()
+    geometry: Geometry = field(default_factory=Geometry)
+    ahead: bool = False
 
     @property
     def held_out(self) -> bool:

@@ -12,7 +12,7 @@ precision given the case. T is the expected gain of twice the log likelihood rat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ import torch
 
 from ...sim.base.types import Array
 from ..cases.case import BranchCase
+from ..replay.probes import PROBES, ArmProbe
 from ..replay.recording import Recording
 from .decide import Decision, probe_for
 from .models.contest import Batch, Contest
@@ -28,70 +29,6 @@ from .models.refit import normal_equations
 
 #: Least T of a probe that is recommended.
 ENOUGH = 12.0
-
-#: Force over the largest of the case, at a time over the probe's length.
-Course = Callable[[Array], Array]
-
-
-@dataclass(frozen=True)
-class Push:
-    """One push: along which axis of the held segment (0, 1 across it, 2 along it), how hard, how long, and its course.
-
-    Attributes:
-        axis: Direction.
-        size: Largest force over the case's largest.
-        length: Duration over the case's longest recording.
-        course: Force over its largest at a time over the duration, in [-1, 1].
-        free_from: Share of the duration after which the gripper is open.
-    """
-
-    axis: int
-    size: float
-    length: float
-    course: Course
-    free_from: float = 1.0
-
-
-@dataclass(frozen=True)
-class ArmProbe:
-    """A probe in words, and its pushes one after the other with the gripper open in between."""
-
-    words: str
-    pushes: tuple[Push, ...]
-
-
-def _hold(t: Array) -> Array:
-    return np.clip(t / 0.1, 0.0, 1.0)
-
-
-def _triangle(t: Array) -> Array:
-    return np.interp(t, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
-
-
-def _sweep(t: Array) -> Array:
-    return np.sin(2.0 * np.pi * (2.0 * t + 6.0 * t**2))
-
-
-def _both(words: str, size: float, length: float, course: Course, free_from: float = 1.0) -> list[ArmProbe]:
-    """Return a probe across the held segment in each of two planes."""
-    return [
-        ArmProbe(words.format(plane), (Push(axis, size, length, course, free_from),))
-        for axis, plane in ((0, "in its own plane"), (1, "across its own plane"))
-    ]
-
-
-#: What an arm can do at the grasp point.
-ARM_PROBES: tuple[ArmProbe, ...] = (
-    *_both("push {} with a third of the force, hold, release, and record the free swing", 1 / 3, 1.0, _hold, 0.5),
-    *_both("push {} with all of the force, hold, release, and record the free swing", 1.0, 1.0, _hold, 0.5),
-    *_both("push {} and hold for three times as long", 1.0, 3.0, _hold),
-    *_both("a slow triangle of force {}, both ways", 1.0, 3.0, _triangle),
-    *_both("a sweep of frequencies {} with a third of the force", 1 / 3, 1.0, _sweep),
-    ArmProbe("pull along the segment and hold, gripper closed", (Push(2, 1.0, 1.0, _hold),)),
-    ArmProbe("push with a third of the force, with all of it, and with a third again, gripper open in between",
-             (Push(0, 1 / 3, 1.0, _hold, 0.7), Push(0, 1.0, 1.0, _hold, 0.7), Push(0, 1 / 3, 1.0, _hold, 0.7))),
-    ArmProbe("record without a push, gripper open", (Push(0, 0.0, 3.0, _hold, 0.0),)),
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -127,13 +64,17 @@ def _rival(fitted: FittedModels, model: Model) -> Model | None:
 
 
 def best_probe(
-    contest: Contest, model: Model, rival: Model, probes: Sequence[ArmProbe] = ARM_PROBES
+    contest: Contest, model: Model, rival: Model, probes: Sequence[ArmProbe] | None = None
 ) -> Worth | None:  # fmt: skip
-    """Return the probe that tells a model from its rival best; None where the case is not a branch."""
+    """Return the probe that tells a model from its rival best, of all known if none are given.
+
+    None where the case is not a branch.
+    """
     if not isinstance(contest.case, BranchCase):
         return None
     precision = _precision(contest, rival)
-    worths = [Worth(p, _worth(contest, p, model, rival, precision)) for p in probes]
+    known = tuple(PROBES.everything().values()) if probes is None else probes
+    worths = [Worth(p, _worth(contest, p, model, rival, precision)) for p in known]
     return max(worths, key=lambda w: w.evidence)
 
 
@@ -142,12 +83,7 @@ def _precision(contest: Contest, model: Model) -> tuple[torch.Tensor, torch.Tens
     residual, derivative, columns = contest.linearise(model.fit.batch)
     normal, _ = normal_equations(contest, model.fit.batch, residual, derivative, columns)
     q = columns.shape[1]
-    whole, p = normal[0], derivative.shape[1]
-    own = whole[:q, :q]
-    if whole.shape[0] > p:
-        mixed = whole[:q, p:]
-        own = own - mixed @ torch.linalg.solve(whole[p:, p:], mixed.T)
-    return own / overdispersion(contest, model.chi2), columns[0]
+    return normal[0, :q, :q] / overdispersion(contest, model.chi2), columns[0]
 
 
 def _worth(

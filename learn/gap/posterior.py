@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from ..cases.case import BranchCase
 from ..inference.correlated import correlation, sandwich, score_covariance
 from ..inference.fit import Modes, climb_until_converged, precision_at
 from ..inference.posterior import Posterior, sample
@@ -19,14 +20,16 @@ from ..systems.system import Parameter
 from .decide import Decision
 from .diagnosis import Bound, Interval
 from .models.contest import Batch, Contest
-from .models.fitted import Model
-from .models.refit import filled, normal_equations
+from .models.fitted import QUIET, Model
+from .models.refit import evaluated, filled, fit, normal_equations
 from .run import Run
 
 #: Parameters of each named effect, by its label.
 Intervals = dict[str, dict[str, Interval]]
 #: Share of its box from an end, on its own scale, within which a parameter is said to be at its bound.
 NEAR = 0.01
+#: Steps of fits to one recording alone.
+ALONE = 8
 
 
 def infer(contest: Contest, decision: Decision, fitted: Batch, train: Sequence[int], run: Run) -> Posterior | None:
@@ -135,7 +138,8 @@ def at_bound(p: Parameter, free: float, row: tuple[float, float, float]) -> Boun
 def _deviations(contest: Contest, fitted: Batch, train: Sequence[int]) -> dict[int, float]:
     """Return the standard deviation of each active free coordinate at the fit, by parameter index.
 
-    By the curvature there and the residuals' size and correlation (`inference.correlated`).
+    By the curvature there and the residuals' size and correlation (`inference.correlated`); at joints also by what the
+    recordings say apart, where the model is not quite right, and by what a finer step changes.
     """
     residual, derivative, columns = contest.linearise(fitted)
     normal, _ = normal_equations(contest, fitted, residual, derivative, columns)
@@ -143,4 +147,44 @@ def _deviations(contest: Contest, fitted: Batch, train: Sequence[int]) -> dict[i
     seen = correlation(residual[0][list(train)], [len(contest.recordings[j].t) for j in train], used)
     curvature = rows.flatten(1) @ rows.flatten(1).T
     spread = sandwich(filled(normal[0]), curvature, score_covariance(seen, rows)).diagonal().sqrt()
-    return {int(c): float(s) for c, s in zip(columns[0], spread, strict=False) if c >= 0}
+    spread = spread[: columns.shape[1]].hypot(_apart(contest, fitted, train)).hypot(_stepped(contest, fitted))
+    return {int(c): float(s) for c, s in zip(columns[0], spread, strict=True) if c >= 0}
+
+
+def _stepped(contest: Contest, fitted: Batch) -> torch.Tensor:
+    """Return the error of the active free coordinates by the length of the step, at joints that are replayed; else 0.
+
+    Twice the change that half the step makes: laws such as friction are of first order in the step. Shape [q].
+    """
+    if not fitted.start.numel():
+        return fitted.free.new_zeros(int(fitted.active[0].sum()))
+    coarse, fine = fit(contest, fitted, ALONE), fit(contest.finely(), fitted, ALONE)
+    return 2.0 * (fine.batch.free - coarse.batch.free)[0, fitted.active[0]].abs()
+
+
+def _apart(contest: Contest, fitted: Batch, train: Sequence[int]) -> torch.Tensor:
+    """Return by how much the active free coordinates differ from recording to recording, beyond what noise explains.
+
+    A law of a slightly other form has another best value at every amplitude. What is left of it follows the motion, so
+    that no correlation of the residuals tells how far the value is from the truth; fits to each recording alone do.
+    The deviation between recordings is that of DerSimonian and Laird (1986, Controlled Clinical Trials 7:177): each
+    counts by the inverse of its own variance, so that one which says little does not widen what the others say. Zero
+    for branches, for a single recording, and where the residuals are no larger than noise. Shape [q].
+    """
+    batch = fitted[torch.zeros(len(train), dtype=torch.long, device=contest.place)]
+    batch.weight = torch.zeros_like(batch.weight)
+    batch.weight[range(len(train)), list(train)] = 1.0
+    samples = sum(contest.recordings[j].output.size for j in train)
+    count = int(fitted.active[0].sum())
+    left = float(evaluated(contest, fitted).chi2[0]) / samples
+    if isinstance(contest.case, BranchCase) or len(train) < 2 or left <= QUIET:
+        return batch.free.new_zeros(count)
+    fits = fit(contest, batch, ALONE)
+    residual, derivative, columns = contest.linearise(fits.batch)
+    normal, _ = normal_equations(contest, fits.batch, residual, derivative, columns)
+    size = (fits.chi2 * len(train) / samples).clamp(min=1.0)
+    noise = torch.stack([torch.linalg.inv(filled(n)).diagonal()[:count] for n in normal]) * size[:, None]
+    weight, values = 1.0 / noise.clamp(min=1e-12), fits.batch.free[:, fitted.active[0]]
+    whole = weight.sum(0)
+    apart = (weight * (values - (weight * values).sum(0) / whole) ** 2).sum(0) - (len(train) - 1)
+    return (apart / (whole - (weight**2).sum(0) / whole)).clamp(min=0.0).sqrt()

@@ -1,9 +1,9 @@
-"""From a case to a contest: noise of the channels, fit of the base model, nuisance columns of bending wood."""
+"""From a case to a contest: noise of the channels, fit of the base model, nuisance columns of a branch."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,8 +16,8 @@ from ..inference.posterior import initial_vectors
 from ..inference.target import Target
 from ..replay.equation_error import noise_of, recordings_of, thinned
 from ..replay.input_noise import input_colour
-from ..replay.rollout import Rollout
-from .models.at_rest import Noise, noise_at_rest
+from .geometry import add_nuisances
+from .models.at_rest import Noise, force_at_rest, noise_at_rest
 from .models.candidates import names_for
 from .models.contest import Batch, Contest
 from .models.fitted import overdispersion
@@ -25,11 +25,6 @@ from .models.refit import Fits, evaluated, fit
 from .run import Run
 from .usable import nothing_moves, too_few, too_noisy
 
-#: Links per segment in the finer branch that shows the bending of wood inside segments.
-PIECES = 3
-#: Bend of the wood inside a segment relative to that of its joint under the same torque: mean and standard deviation of
-#: its prior, and finite-difference step of its response.
-WOOD, WOOD_SPREAD, WOOD_STEP = 0.05, 0.03, 0.06
 #: Starts of the base fit, and how many of the modes that they reach are fitted under the full noise model.
 STARTS, MODES = 8, 3
 
@@ -43,6 +38,7 @@ class Base:
         fit: The base model's fit, a batch of one.
         noise: Noise of the channels.
         force_sigma: Noise of a branch's force [N], shape [3], or None.
+        doubted: Whether the data say that the file's geometry or mountings are off; they are nuisances then.
         unusable: Why the data cannot support a verdict, with the missing probe; None where they can.
     """
 
@@ -50,6 +46,7 @@ class Base:
     fit: Fits
     noise: Noise
     force_sigma: Array | None
+    doubted: bool = False
     unusable: str | None = None
 
     @property
@@ -87,6 +84,8 @@ def _fitted(case: BranchCase | JointCase, names: Sequence[str], seed: int) -> Ba
     """Return a case with the base model fitted under the full noise model."""
     noise = noise_of(case)
     sigma, force_sigma = pooled_sigma(case, noise), force_noise(case, noise)
+    if isinstance(case, BranchCase) and force_sigma is not None:
+        force_sigma = force_at_rest(case, force_sigma)
     contest = Contest(case, [thinned(case, r) for r in recordings_of(case)], sigma, names)
     found = fit(contest, _modes(contest, seed), 3)
     base = Base(contest, found.one(int(found.cost.argmin())), Noise(sigma), force_sigma)
@@ -95,7 +94,7 @@ def _fitted(case: BranchCase | JointCase, names: Sequence[str], seed: int) -> Ba
 
 
 def settle(base: Base) -> None:
-    """Take the noise of channels and force, and the bending of wood, about the base as it is fitted, and refit it."""
+    """Take the noise of channels and force, and the nuisances, about the base as it is fitted, and refit it."""
     contest, case = base.contest, base.contest.case
     base.noise = noise_at_rest(contest, base.fit.batch)
     if (base.noise.sigma != contest.sigma.cpu().numpy()).any():
@@ -103,7 +102,7 @@ def settle(base: Base) -> None:
         base.fit = fit(contest, base.fit.batch, 3)
     if isinstance(case, BranchCase) and base.force_sigma is not None:
         colour(contest, base.fit.batch, base.force_sigma)
-        add_wood(contest, base.fit.batch)
+        add_nuisances(contest, base.fit.batch, doubted=base.doubted)
         base.fit = fit(contest, base.fit.batch, 3)
         contest.overdispersion = overdispersion(contest, float(base.fit.chi2[0]))
         base.fit = fit(contest, base.fit.batch, 4)
@@ -133,50 +132,3 @@ def colour(contest: Contest, model: Batch, force_sigma: Array) -> None:
     assert isinstance(contest.case, BranchCase)
     values = contest.values(model)[0, : contest.num_base]
     contest.colour = input_colour(contest.case, contest.recordings, values, force_sigma, contest.sigma)
-
-
-def add_wood(contest: Contest, model: Batch) -> None:
-    """Set the nuisance columns of wood that bends inside each segment, linearised about a model."""
-    case = contest.case
-    assert isinstance(case, BranchCase)
-    spring, damper = contest.values(model)[0, : contest.num_base].chunk(2)
-    bends = WOOD * np.ones((case.num_segments + 1, case.num_segments))
-    for i in range(case.num_segments):
-        bends[i + 1, i] += WOOD_STEP
-    out = _on_pieces(contest, case, spring, damper, bends)
-    middle = contest.whiten(out[:1])
-    columns = (contest.whiten(out[1:]) - middle) / WOOD_STEP
-    contest.nuisance = columns.flatten(1)
-    contest.nuisance_mean = torch.full_like(columns[:, 0, 0, 0], WOOD)
-    contest.nuisance_spread = torch.full_like(columns[:, 0, 0, 0], WOOD_SPREAD)
-
-
-def _on_pieces(
-    contest: Contest, case: BranchCase, spring: torch.Tensor, damper: torch.Tensor, bends: Array
-) -> torch.Tensor:
-    """Simulate the finer branch for inside bends [S, segments]; return channels [S, R, T, C]."""
-    fine = in_pieces(case)
-    piece = case.length[case.grasp_segment] / PIECES
-    k = min(int(case.grasp_distance / piece), PIECES - 1)
-    held = (PIECES * case.grasp_segment + k, np.array([0.0, 0.0, case.grasp_distance - k * piece]))
-    recordings = [replace(r, grasp=held) for r in contest.recordings]
-    inside = np.arange(fine.num_segments) % PIECES > 0
-    share = np.where(inside, (PIECES - 1) / np.repeat(bends, PIECES, axis=1), 1.0)
-    factor = torch.as_tensor(share, device=contest.place)
-    rollout = Rollout(fine, recordings, len(bends), device=contest.device)
-    values = [x.repeat_interleave(PIECES) * factor for x in (spring, damper)]
-    return rollout(torch.cat(values, 1)).double()
-
-
-def in_pieces(case: BranchCase) -> BranchCase:
-    """Return a branch case with every segment cut into pieces of equal length."""
-    share = np.linspace(0.0, 1.0, PIECES + 1)
-    radius = case.radius[:, :1] + (case.radius[:, 1:] - case.radius[:, :1]) * share
-    ends = np.stack([radius[:, :-1], radius[:, 1:]], -1)
-    area = (ends**2).sum(-1) + ends.prod(-1)
-    mass = case.mass[:, None] * area / area.sum(1, keepdims=True)
-    names = tuple(f"{n} {k + 1}" for n in case.segment_name for k in range(PIECES))
-    return replace(
-        case, segment_name=names, length=np.repeat(case.length / PIECES, PIECES), radius=ends.reshape(-1, 2),
-        elevation=np.repeat(case.elevation, PIECES), azimuth=np.repeat(case.azimuth, PIECES), mass=mass.ravel(),
-    )  # fmt: skip

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from ...sim.base.types import Array
-from .consistent import consistent
-from .decide import Decision, size
-from .diagnosis import Diagnosis, Rival, Where
+from .consistent import consistent, percent
+from .decide import Decision, predicts, size
+from .diagnosis import Diagnosis, Geometry, Rival, Where
+from .geometry import explained_by
 from .prepare import Base
 from .repaired import Repaired
 from .run import Run
@@ -26,6 +27,13 @@ def record(
     case, recordings = contest.case, contest.recordings
     with run.timed("checks"):
         unusable = base.unusable or different_plants(fitted, decision.model)
+        beside = explained_by(contest, fitted.base.fit, base.motion) if base.doubted else Geometry()
+        askew = beside.share > run.settings.tolerance
+        ahead = decision.verdict == "effects" and askew and predicts(fitted, decision.final)
+    remarks = one_way(case, recordings, fitted.values(fitted.base))
+    if askew and not base.unusable:
+        remarks += ("Geometry and mountings that are not quite as the file says explain"
+                    f" {percent(beside.share)} of the motion (furthest: {beside.furthest}).",)  # fmt: skip
     return consistent(Diagnosis(
         case=case, settings=run.settings, recordings=recordings, sigma=noise, verdict=decision.verdict,
         sentence="", effects=decision.named, parameters=repaired.parameters, alternatives=decision.alternatives,
@@ -37,6 +45,6 @@ def record(
         world_steps=run.keep.earlier + contest.world_steps, seconds=run.seconds, tried=fitted.labels(decision.final),
         size=0.0 if base.unusable else size(fitted, decision.model, base.motion), unusable=unusable,
         swing=swing_of(case, recordings, gap.test or range(len(recordings))),
-        scatter=replicate_scatter(case, recordings), remarks=one_way(case, recordings, fitted.values(fitted.base)),
-        unstable=decision.unstable,
+        scatter=replicate_scatter(case, recordings), remarks=remarks,
+        unstable=decision.unstable, geometry=beside, ahead=ahead,
     ))  # fmt: skip

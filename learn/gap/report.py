@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,11 +18,15 @@ from ...sim.effects import effect_of, effects
 from ...version import __version__
 from ..cases.case import BranchCase, JointCase
 from ..inference.predict import main_channels
+from ..replay.case_motion import case_motion
+from ..reports.figures import ALARM as VERMILION
+from ..reports.figures import MODEL
+from ..reports.motion import ReportMotion
 from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number, write_report
-from ..systems.model_file import write_model
-from .consistent import error_name, grows, missed, percent, share, significant, spoken
+from ..systems.model_file import BranchModel, write_model
+from .consistent import error_name, far, grows, missed, percent, plain, readable, share, significant
 from .decide import TIED
-from .diagnosis import Diagnosis, Rival
+from .diagnosis import Diagnosis, Rival, Share
 from .evidence import ALARM
 from .figures import (
     BASE,
@@ -35,14 +42,14 @@ from .figures import (
 from .where import joint_motion, locate, motion_of
 
 VERDICT = "verdict.json"
+BEFORE = "base.yaml"
+"""Of a branch: the model before repair, springs and dampers without effects."""
 #: Most recordings drawn over time and as loops, channels per recording, joints of a mechanism, models of the ranking.
 SHOWN, LOOPS, CHANNELS, JOINTS, RIVALS = 2, 4, 3, 3, 12
 _STATUS: dict[str, Literal["good", "warning", "bad"]] = {"none": "good", "effects": "warning", "unknown": "bad"}
 #: Held-out RMSE over noise floor from which the floor says little of what can be reached.
 GOOD_SENSOR = 30.0
 _P_VALUE = "Probability that the best of all candidates fits this well if the base model is true."
-#: Units for readers: factor from the SI unit, and name.
-_READ = {"m": (100.0, "cm"), "rad": (math.degrees(1.0), "deg"), "rad_per_s": (math.degrees(1.0), "deg/s")}
 
 
 def write_diagnosis(folder: Path, found: Diagnosis) -> Path:
@@ -52,11 +59,19 @@ def write_diagnosis(folder: Path, found: Diagnosis) -> Path:
 
 
 def write_models(folder: Path, found: Diagnosis) -> None:
-    """Write ``model.yaml``, and ``posterior.npz`` where there is one, into an existing folder."""
+    """Write ``model.yaml``, of a branch ``base.yaml``, and ``posterior.npz`` where there is one, into a folder."""
     if found.model is not None:
         write_model(folder / "model.yaml", found.model)
+    if isinstance(found.model, BranchModel):
+        write_model(folder / BEFORE, base_model(found.model, found.base_values))
     if found.posterior is not None:
         found.posterior.save(folder / "posterior.npz")
+
+
+def base_model(model: BranchModel, values: Mapping[str, float]) -> BranchModel:
+    """Return the branch before repair: the base model's springs and dampers, no effects."""
+    spring, damper = (np.array([values[f"{k} {n}"] for n in model.segment_name]) for k in ("stiffness", "damping"))
+    return replace(model, stiffness=spring, damping=damper, effects=(), claimed=True)
 
 
 def content(diagnosis: Diagnosis, *, drawn: bool = True) -> ReportContent:
@@ -66,9 +81,14 @@ def content(diagnosis: Diagnosis, *, drawn: bool = True) -> ReportContent:
     )
     return ReportContent(
         title=f"Diagnosis of {diagnosis.case.name}",
-        headline=diagnosis.sentence,
+        headline=plain(diagnosis),
+        precisely=diagnosis.sentence,
         status=_STATUS[diagnosis.verdict],
-        numbers=[*_gap(diagnosis), *_effects(diagnosis), *_advice(diagnosis), *_evidence(diagnosis)],
+        numbers=[*_gap(diagnosis), *_effects(diagnosis), *_advice(diagnosis)],
+        exact=_evidence(diagnosis),
+        folded=True,
+        commands=_commands(diagnosis),
+        motion=_motion(diagnosis) if drawn else None,
         parameters=_parameters(diagnosis),
         tables=_tables(diagnosis),
         figures=_figures(diagnosis) if drawn else [],
@@ -82,9 +102,32 @@ def content(diagnosis: Diagnosis, *, drawn: bool = True) -> ReportContent:
     )
 
 
-def readable(unit: str) -> tuple[float, str]:
-    """Return factor and name of the unit in which an SI unit is shown."""
-    return _READ.get(unit, (1.0, spoken(unit)))
+def _commands(d: Diagnosis) -> list[tuple[str, str]]:
+    """Return what to do next with this case, in the page's folder, by verdict and kind."""
+    case, branch = shlex.quote(str(d.case.folder.resolve())), isinstance(d.case, BranchCase)
+    repaired = f"bough simulate {case} --model model.yaml --out replayed"
+    out = [(repaired, "replays the recordings with the repaired model and prints the same gap")] if d.model else []
+    if d.model and branch:
+        out.append((f"bough view . --case {case}", "shows the branch before and after in the browser"))
+    if d.verdict == "none":
+        out.append((f"bough identify {case} --out identified", "learns springs and dampers with their intervals"))
+    if d.verdict == "effects" and branch:
+        out.append(("bough train powerline --model model.yaml --out trained", "trains among such branches"))
+    if d.verdict == "unknown":
+        out.append(
+            (f"bough diagnose {case} --out again", "judges again, once the next probe is recorded into the case")
+        )
+    if d.verdict != "none" and d.fit and d.fit["other"]:
+        what = f"judges by the other way to fit, {d.fit['other']}"
+        out.append((f"bough diagnose {case} --fit {d.fit['other']} --out again", what))
+    return out
+
+
+def _motion(d: Diagnosis) -> ReportMotion | None:
+    """Return the recording that the base model misses most as a motion."""
+    j = _worst(d, 1)[0]
+    models = {BASE: (VERMILION, d.base_output[j]), BEST: (MODEL, d.best_output[j])}
+    return case_motion(d.case, j, d.recordings[j], models)
 
 
 # ---- the first screen -----------------------------------------------------------------------------------------------
@@ -94,7 +137,8 @@ def _gap(d: Diagnosis) -> list[KeyNumber]:
     scale, unit = readable(d.gap.unit)
     held = ", ".join(str(j + 1) for j in d.gap.test)
     if d.held_out:
-        name, of = "Held-out RMSE", f" Recordings {held}, not used in the fit." if held else ""
+        which = f"Recording{'s' if len(d.gap.test) > 1 else ''} {held}"
+        name, of = "Held-out RMSE", f" {which}, not used in the fit." if held else ""
     else:
         name, of = "RMSE", " In the only recording, to which the model was fitted: nothing is held out."
     shown = [
@@ -282,18 +326,61 @@ def _figures(d: Diagnosis) -> list[ReportFigure]:
     return [
         ReportFigure("gap.png", gap_figure(scale * d.gap.base, scale * d.gap.repaired, floor, unit=unit,
                                            scatter=scatter, name=name),
-                     f"{name[0].upper()}{name[1:]} of both models: a good model comes close to {reach}."),
+                     f"{name[0].upper()}{name[1:]} of both models: a good model comes close to {reach}.", _removed(d)),
         ReportFigure("heat.png", heat_figure(base.of_motion, best.of_motion, base.edges, titles=_titles(d), noise=noise,
                                              scatter=repeats),
                      "Residual as a share of the motion by recording and time: dark windows are where a model is wrong;"
-                     " grey: no data."),
+                     " grey: no data.", _darkest(d, base.of_motion, best.of_motion, base.edges)),
         _before_after(d),
         _loops(d) if isinstance(d.case, BranchCase) else _against_motion(d, d.case),
         ReportFigure("ranking.png", ranking_figure([_called(r) for r in ranked], delta, explained),
-                     "Model comparison: information criterion minus the preferred model's; shorter is better."),
+                     "Model comparison: information criterion minus the preferred model's; shorter is better.",
+                     _runner_up(d, ranked)),
         ReportFigure("parts.png", shares_figure(base.shares, best.shares),
-                     "Residual / noise by part of the motion: parts far above 1 point to the missing law."),
+                     "Residual / noise by part of the motion: parts far above 1 point to the missing law.",
+                     _loudest(base.shares, best.shares)),
     ]  # fmt: skip
+
+
+def _removed(d: Diagnosis) -> str:
+    """Return what the repaired model takes away of the error beyond the noise; nothing where there is none beyond."""
+    excess = [max(x**2 - d.gap.noise_floor**2, 0.0) for x in (d.gap.base, d.gap.repaired)]
+    if not far(d) and d.verdict == "none":
+        return "The base model comes close to the noise: there is little to explain."
+    if grows(d) or not d.tried or excess[0] == 0.0:
+        return "What was tried does not bring the model closer to what was measured." if d.tried else ""
+    gone = 1.0 - math.sqrt(excess[1] / excess[0])
+    return f"The {BEST} takes away {percent(gone)} of the error beyond the noise."
+
+
+def _darkest(d: Diagnosis, base: Array, best: Array, edges: Array) -> str:
+    """Return where the base model misses most, and how much both models miss there."""
+    j, w = np.unravel_index(np.nanargmax(base), base.shape)
+    return (f"The {BASE} misses most in recording {j + 1}, from {edges[w]:.3g} to {edges[w + 1]:.3g} s: by"
+            f" {percent(base[j, w])} of the motion, the {BEST} by {percent(best[j, w])}.")  # fmt: skip
+
+
+def _runner_up(d: Diagnosis, ranked: Sequence[Rival]) -> str:
+    """Return how far the best other model of as many effects is behind the preferred one."""
+    if d.verdict != "effects":
+        return "No model here is good enough to be claimed." if d.verdict == "unknown" else ""
+    own = {a.label for a in d.effects}
+    others = [r for r in ranked if len(r.effects) == len(own) and set(r.effects) != own]
+    if not others:
+        return ""
+    first = min(others, key=lambda r: r.delta)
+    near = "cannot be told apart from it" if abs(first.delta) <= TIED else f"is {number(first.delta)} behind"
+    return f"The best other explanation, {_called(first)}, {near}."
+
+
+def _loudest(base: Sequence[Share], best: Sequence[Share]) -> str:
+    """Return the part of the motion that the base model misses most, relative to the noise, before and after."""
+    if not base:
+        return ""
+    worst = max(base, key=lambda s: s.ratio)
+    after = next((s.ratio for s in best if (s.by, s.part) == (worst.by, worst.part)), None)
+    then = "" if after is None else f", {after:.3g} times with the {BEST}"
+    return f"Most is missed in the part called {worst.part}: {worst.ratio:.3g} times the noise{then}."
 
 
 def _noise_share(d: Diagnosis) -> float:
@@ -331,9 +418,12 @@ def _before_after(d: Diagnosis) -> ReportFigure:
     titles = [_titles(d)[j] for j in chosen]
     times = [d.recordings[j].t for j in chosen]
     drawn = before_after_figure(times, measured, base, best, titles=titles, labels=labels)
+    before, after = (np.sqrt(np.mean((x[0] - measured[0]) ** 2)) for x in (base, best))
     return ReportFigure(
-        "before_after.png", drawn, "The recordings with the largest residuals, measured and simulated by both models."
-    )
+        "before_after.png", drawn, "The recordings with the largest residuals, measured and simulated by both models.",
+        f"In recording {chosen[0] + 1} the {BASE} is off by {number(before, 2)} {unit} rms, the {BEST} by"
+        f" {number(after, 2)}.",
+    )  # fmt: skip
 
 
 def _loops(d: Diagnosis) -> ReportFigure:
@@ -343,7 +433,14 @@ def _loops(d: Diagnosis) -> ReportFigure:
     base, best = (_cut(d, out, chosen, place) for out in (d.base_output, d.best_output))
     drawn = loops_figure(force, measured, base, best, titles=[_titles(d)[j] for j in chosen])
     caption = "Force against displacement: the slope is the stiffness, the enclosed area the energy lost."
-    return ReportFigure("loops.png", drawn, caption)
+    work = [sum(_work(f, x) for f, x in zip(force, moved, strict=True)) for moved in (measured, base, best)]
+    told = ", ".join(f"{name} {number(w)} J" for name, w in zip(("measured", BASE, BEST), work, strict=True))
+    return ReportFigure("loops.png", drawn, caption, f"Work of the gripper in these recordings: {told}.")
+
+
+def _work(force: Array, moved: Array) -> float:
+    """Return the work of a force [T, 3] along a displacement [T, 3] [J]."""
+    return float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(moved, axis=0)))
 
 
 def _against_motion(d: Diagnosis, case: JointCase) -> ReportFigure:

@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..replay.input_noise import Colour
-from .evidence import ALARM, Evidence, bootstrap_test, lacks_fit
-from .models.at_rest import Noise
+from .evidence import ALARM, Evidence, bootstrap_test, lacks_fit, retested
+from .geometry import add_nuisances, in_doubt
+from .models.at_rest import Noise, noise_of_repeats
 from .models.contest import Batch
 from .models.fitted import FittedModels, Model
 from .models.levels import LEADERS, better_of, first_level, moved, next_level, reduced, refitted
 from .models.nested import close, fitted_again, rebased
+from .models.nuisance import Nuisances
 from .models.refit import Fits
-from .prepare import Base, add_wood, colour, settle
+from .prepare import Base, colour, settle
 from .run import Run
 
 #: Steps of a refit after the noise model has changed.
@@ -43,7 +45,31 @@ def nothing_searched(base: Base) -> Searched:
 
 
 def search(base: Base, evidence: Evidence, run: Run) -> Searched:
-    """Fit the candidates and, if an effect is missing, further ones beside the best; save a checkpoint.
+    """Fit all models with the file's geometry, and again with uncertain geometry where the data ask for it.
+
+    A right model with the right geometry leaves noise. Geometry that is off leaves what no effect explains; only then
+    is it uncertain, since it can imitate small effects, such as a few grams at the tip. Saves a checkpoint.
+    """
+    searched = _searched(base, evidence, run)
+    if _doubted(base, searched.fitted, run):
+        searched = _searched(base, bootstrap_test(base, run), run)
+    _save(base, searched, run)
+    return searched
+
+
+def _doubted(base: Base, fitted: FittedModels, run: Run) -> bool:
+    """Return whether geometry and mountings are in doubt beside the best model; they are nuisances then."""
+    if not len(fitted.contest.nuisance):
+        return False
+    with run.timed("base"):
+        base.doubted = in_doubt(fitted.contest, fitted.best.fit.batch, run.settings.tolerance * base.motion)
+        if base.doubted:
+            settle(base)
+    return base.doubted
+
+
+def _searched(base: Base, evidence: Evidence, run: Run) -> Searched:
+    """Fit the candidates and, if an effect is missing, further ones beside the best.
 
     No model leaves more than one that it contains, see `models.nested`, and the p-value is that of a base which no
     candidate's springs improve.
@@ -52,14 +78,15 @@ def search(base: Base, evidence: Evidence, run: Run) -> Searched:
     with run.timed("fits"):
         fitted_again(fitted, 1)
         fitted.models += moved(fitted.contest, fitted.of_size(1)[:2])
+        known = base.noise
         fitted = _recoloured(base, fitted)
-        least = run.settings.tolerance * base.motion
-        if evidence.p_value <= ALARM or lacks_fit(fitted, least):
+    if base.noise is not known:
+        evidence = bootstrap_test(base, run)
+    with run.timed("fits"):
+        if evidence.p_value <= ALARM or lacks_fit(fitted, run.settings.tolerance * base.motion):
             _add_effects(fitted, run)
     evidence = _closed(base, fitted, evidence, run)
-    searched = Searched(fitted, evidence.p_value)
-    _save(searched, run)
-    return searched
+    return Searched(fitted, evidence.p_value)
 
 
 def _first_level(base: Base, evidence: Evidence, run: Run) -> tuple[FittedModels, Evidence]:
@@ -92,18 +119,22 @@ def _closed(base: Base, fitted: FittedModels, evidence: Evidence, run: Run) -> E
             fitted_again(fitted, size)
         close(fitted)
     moved = before.cost - fitted.base.cost > max(FALSE * before.cost, MOVED * fitted.contest.overdispersion)
-    return bootstrap_test(base, run) if moved else evidence
+    evidence = bootstrap_test(base, run) if moved else evidence
+    return retested(base, fitted.best, evidence, run)
 
 
 def _recoloured(base: Base, fitted: FittedModels) -> FittedModels:
-    """Linearise noise of the force and bending of wood about the best model instead of the base, and refit."""
+    """Take noise, its response and the nuisances about the best model instead of the base, and refit."""
     best = fitted.of_size(1)[0]
+    base.noise = noise_of_repeats(fitted.contest, best.fit.batch, base.noise)
+    fitted.contest.set_noise(base.noise.sigma)
     fitted.contest.overdispersion = fitted.overdispersion
     if base.force_sigma is not None:
         colour(fitted.contest, best.fit.batch, base.force_sigma)
-        add_wood(fitted.contest, best.fit.batch)
+        add_nuisances(fitted.contest, best.fit.batch, doubted=base.doubted)
     settled = [m for m in fitted.models if m.settled]
     base_again = refitted(fitted.contest, [fitted.base], AGAIN)[0]
+    base.fit = base_again.fit
     return FittedModels(fitted.contest, base_again, refitted(fitted.contest, settled, AGAIN))
 
 
@@ -122,12 +153,13 @@ def _add_effects(fitted: FittedModels, run: Run) -> None:
 # ---- checkpoint -----------------------------------------------------------------------------------------------------
 
 
-def _save(searched: Searched, run: Run) -> None:
+def _save(base: Base, searched: Searched, run: Run) -> None:
     fitted, contest = searched.fitted, searched.fitted.contest
     models = [vars(m) | {"fit": {**vars(m.fit), "batch": vars(m.fit.batch)}} for m in (fitted.base, *fitted.models)]
-    noise = {"sigma": contest.sigma, "nuisance": contest.nuisance, "overdispersion": contest.overdispersion}
+    noise = {"sigma": contest.sigma, "overdispersion": contest.overdispersion}
+    noise["nuisance"] = {key: getattr(contest.nuisance, key) for key in ("columns", "mean", "names")}
     noise["colour"] = None if contest.colour is None else vars(contest.colour)
-    run.keep.save("search", {"models": models, "p_value": searched.p_value, **noise})
+    run.keep.save("search", {"models": models, "p_value": searched.p_value, "doubted": base.doubted, **noise})
 
 
 def restored(base: Base, run: Run) -> Searched | None:
@@ -137,8 +169,9 @@ def restored(base: Base, run: Run) -> Searched | None:
         return None
     contest = base.contest
     contest.set_noise(state["sigma"].cpu().numpy())
+    base.doubted = state["doubted"]
     base.noise = Noise(state["sigma"].cpu().numpy(), base.noise.spectrum)
-    contest.nuisance, contest.overdispersion = state["nuisance"], state["overdispersion"]
+    contest.nuisance, contest.overdispersion = Nuisances(**state["nuisance"]), state["overdispersion"]
     contest.colour = None if state["colour"] is None else Colour(**state["colour"])
     models = [Model(m["members"], Fits(**{**m["fit"], "batch": Batch(**m["fit"]["batch"])}), m["settled"], m["rests"])
               for m in state["models"]]  # fmt: skip

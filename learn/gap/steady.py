@@ -28,8 +28,9 @@ from .prepare import Base
 from .run import Run
 from .search import Searched
 
-#: Models that are fitted again, and the most steps of it.
-LEADING, STEPS = 10, 12
+#: Models that are fitted again, and the most steps of it; of those that hold a name of the decision, which is not taken
+#: back because a law of many parameters comes near its best fit slowly.
+LEADING, STEPS, ENOUGH = 10, 12, 200
 #: Other cut-offs of the filter, relative to the case's own.
 CUTOFFS = (0.5, 1.6)
 #: Largest deviation of a skipped sample from the middle of its neighbours, relative to the channel's rms, at which half
@@ -168,7 +169,8 @@ def _again(
     chosen = _leading(searched.fitted, decision)
     batch = _within(contest, Batch.joined([m.fit.batch for m in chosen]), variant.recordings)
     fits = fit(contest, batch, STEPS)
-    models = [Model(m.members, fits.one(s), True) for s, m in enumerate(chosen)]
+    models = [Model(m.members, fits.one(s), True, m.rests) for s, m in enumerate(chosen)]
+    models = _settled(contest, models, set(decision.model.members))
     fitted = FittedModels(contest, models[0], models[1:])
     contest.overdispersion = fitted.overdispersion
     other = Base(contest, fits.one(0), Noise(contest.sigma.cpu().numpy()), None)
@@ -176,6 +178,16 @@ def _again(
     if decision.verdict == "none":  # a name must be beyond doubt to undo that: there are several treatments
         p_value = min(1.0, bootstrap_test(other, Run(run.settings)).p_value * UNDO)
     return decide(other, Searched(fitted, p_value), run.settings), fitted
+
+
+def _settled(contest: Contest, models: list[Model], own: set[int]) -> list[Model]:
+    """Return models of which those that hold one of ``own`` were fitted until no step betters them."""
+    held = [k for k, m in enumerate(models) if own & set(m.members)]
+    if not held:
+        return models
+    fits = fit(contest, Batch.joined([models[k].fit.batch for k in held]), ENOUGH)
+    done = {k: replace(models[k], fit=fits.one(s)) for s, k in enumerate(held)}
+    return [done.get(k, m) for k, m in enumerate(models)]
 
 
 def _contest(first: Contest, variant: Variant, base: Batch) -> Contest:

@@ -110,6 +110,22 @@ def _positive(spectrum: torch.Tensor) -> torch.Tensor:
     return (vector * value.clamp(min=0.0)[..., None, :]) @ vector.mH
 
 
+def drawn_as(seen: Correlation, white: torch.Tensor) -> torch.Tensor:
+    """Return white noise [..., R, T, C] of deviation one with the correlations of residuals of T samples.
+
+    Its mean square stays one: of the residuals only the shape of the spectrum is taken. It is filtered in a circle, so
+    that it has the same power at every sample.
+    """
+    value, vector = torch.linalg.eigh(seen.spectrum[::2])  # that of twice as many samples, padded
+    power = value.clamp(min=0.0)
+    weight = torch.full_like(power[:, :1], 2.0)
+    weight[0] = 1.0
+    power = power * weight.sum() * power.shape[1] / (weight * power).sum()
+    root = (vector * power.sqrt()[..., None, :]) @ vector.mH
+    spectrum = torch.fft.rfft(white, dim=-2)
+    return torch.fft.irfft(torch.einsum("...fc,fdc->...fd", spectrum, root), white.shape[-2], dim=-2)
+
+
 def score_covariance(seen: Correlation, derivative: torch.Tensor) -> torch.Tensor:
     """Return V, the covariance of J^T z, shape [m, m], from derivatives of the whitened residuals [m, R, T, C]."""
     spectrum = torch.fft.rfft(derivative, seen.length, dim=2)

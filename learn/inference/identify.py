@@ -34,14 +34,17 @@ from .target import Target
 Progress = Callable[[str, int], None]
 #: Least noise of a branch's sensors relative to their rms; with exact data rounding errors would count as misfit.
 FINEST = 1e-4
+#: How much wider than all others a recording of joints moves that is never held out.
+WIDER = 1.1
 
 
 def split(case: BranchCase | JointCase) -> tuple[list[int], list[int]]:
     """Return indices of the trajectories to learn from and to hold out.
 
     The split that the case states, if any. Otherwise about a quarter is held out: the last trajectories without
-    replicates, so that no replicate of a held-out one is in the training set. A single recording of torques is used for
-    both, because its samples are thousands of experiments.
+    replicates, so that no replicate of a held-out one is in the training set. A recording of joints that moves wider
+    than all others is not held out: a law that shows at large angles alone cannot be learnt from small ones. A single
+    recording of torques is used for both, because its samples are thousands of experiments.
 
     Raises:
         InputError: There are fewer than two trajectories.
@@ -55,8 +58,19 @@ def split(case: BranchCase | JointCase) -> tuple[list[int], list[int]]:
         raise InputError(case.folder / "meta.yaml", "trajectories", f"{count}", "two or more: one is held out")
     original = {t.replicate_of for t in case.trajectories}
     single = [i for i, t in enumerate(case.trajectories) if t.replicate_of is None and i not in original]
-    held = (single or list(range(count)))[-max(1, count // 4) :]
+    pool, many = single or list(range(count)), max(1, count // 4)
+    if isinstance(case, JointCase) and len(pool) > many:
+        pool = [i for i in pool if i != _widest(case)]
+    held = pool[-many:]
     return [i for i in range(count) if i not in held], held
+
+
+def _widest(case: JointCase) -> int | None:
+    """Return the trajectory that moves wider than every other one by the factor `WIDER`, None if there is none."""
+    span = np.array([np.ptp(t.output, axis=0) for t in case.trajectories])
+    size = (span / np.maximum(span.max(axis=0), 1e-300)).mean(axis=1)
+    widest = int(size.argmax())
+    return widest if size[widest] > WIDER * np.delete(size, widest).max() else None
 
 
 def folds(case: BranchCase | JointCase, count: int) -> list[list[int]]:

@@ -21,6 +21,7 @@ from ..reports.figures import (
     residual_figure,
 )
 from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure
+from ..samplers.registry import SAMPLERS
 from .outcome import Outcome
 from .predict import main_channels
 from .settings import Settings
@@ -29,10 +30,6 @@ from .settings import Settings
 TOLERANCE = 1.3
 #: Probabilities of the coverage curve.
 NOMINAL = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
-METHODS = {
-    "svgd": "Stein variational gradient descent", "mh": "Metropolis-Hastings", "emcee": "emcee's ensemble sampler",
-    "sgld": "stochastic gradient Langevin dynamics", "sghmc": "stochastic gradient Hamiltonian Monte Carlo",
-}  # fmt: skip
 
 
 def unit_of(case: BranchCase | JointCase) -> str:
@@ -230,7 +227,7 @@ def _method(outcome: Outcome) -> dict[str, str | int | float]:
         else f"published loss (thesis eq. 3.5, 3.9), kT {s.temperature:g}"
     )
     return {
-        "method": f"Levenberg-Marquardt from 16 starts, then {METHODS[s.sampler]} in whitened coordinates",
+        "method": f"Levenberg-Marquardt from 16 starts, then {SAMPLERS.of(s.sampler).title} in whitened coordinates",
         "likelihood": likelihood,
         "prior": " and ".join(["smooth box", *s.priors]),
         "cross-validation": f"{s.cv} folds" if s.cv else "none",

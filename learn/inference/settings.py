@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, get_args
 
 from ...sim.base.errors import InputError, check_seed
+from ..samplers.registry import SAMPLERS
 
 if TYPE_CHECKING:
     from ..systems.acting import Acting
     from ..systems.branch import Joints, Kind, Unknowns
     from .target import Loss
-
-Method = Literal["svgd", "nnsvgd", "mh", "sgld", "sghmc", "emcee"]
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,7 @@ class Settings:
         particles: Particles of SVGD, chains of the other samplers.
         iterations: Updates of the sampler.
         seed: Of every random number used.
-        method: Sampler; ``nnsvgd`` is SVGD with the inequality prior.
+        method: Sampler (`samplers.registry.SAMPLERS`); ``nnsvgd`` is SVGD with the inequality prior.
         prior: What is known beforehand, see `priors.choose.make_prior`; the box always holds.
         joints, infer, shared, box: Of a branch, what is unknown, see `systems.branch.Unknowns`.
         cv: Folds of a cross-validation over the trajectories; 0 holds some out once.
@@ -36,7 +35,7 @@ class Settings:
     particles: int = 64
     iterations: int = 24
     seed: int = 0
-    method: Method = "svgd"
+    method: str = "svgd"
     prior: tuple[str, ...] = ()
     joints: Joints = "spherical"
     infer: tuple[Kind, ...] = ("stiffness", "damping")
@@ -63,7 +62,7 @@ class Settings:
     @property
     def sampler(self) -> str:
         """Name of the sampler."""
-        return "svgd" if self.method == "nnsvgd" else self.method
+        return _sampler_of(self.method)
 
     @property
     def trainings(self) -> int:
@@ -71,8 +70,9 @@ class Settings:
         return self.cv + 1
 
     def check(self) -> None:
-        """Raise `InputError` for numbers that cannot be."""
+        """Raise `InputError` for numbers that cannot be, and for samplers that there are not."""
         check_seed("identify", self.seed)
+        SAMPLERS.of(self.sampler, "identify", "--method")
         for name, low in (("particles", 8), ("iterations", 10)):
             if getattr(self, name) < low:
                 raise InputError("identify", f"--{name}", str(getattr(self, name)), f"{low} or more")
@@ -91,6 +91,14 @@ class Settings:
                 raise InputError("identify", "--shared", kind, f"one of what is inferred: {', '.join(self.infer)}")
 
 
-def default_iterations(method: Method) -> int:
-    """Return how many updates a sampler usually needs from the modes: chains must forget their start and mix."""
-    return {"svgd": 24, "nnsvgd": 24, "mh": 4000, "sgld": 1500, "sghmc": 1200, "emcee": 6000}[method]
+def _sampler_of(method: str) -> str:
+    return "svgd" if method == "nnsvgd" else method
+
+
+def default_iterations(method: str) -> int:
+    """Return how many updates a sampler usually needs from the modes.
+
+    Raises:
+        InputError: There is no such sampler.
+    """
+    return SAMPLERS.of(_sampler_of(method), "identify", "--method").updates

@@ -1,4 +1,4 @@
 """Training, testing and filming policies.
 
-Uses: `sim.base`, `sim.wood`, `learn.runs`, `learn.reports`, `learn.tasks`.
+Uses: `sim.base`, `sim.wood`, `sim.arms`, `learn.runs`, `learn.reports`, `learn.tasks`.
 """

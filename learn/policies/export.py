@@ -68,6 +68,8 @@ def _network(policy: TrainedPolicy) -> MLPModel:
 
     from .ppo_runner import network_of
 
+    if policy.ppo.memory:
+        raise InputError(policy.checkpoint, "memory", "a recurrent policy", "a policy without memory")
     try:
         layers = [v for k, v in policy.state["actor_state_dict"].items() if k.startswith("mlp.") and v.dim() == 2]
         seen = TensorDict({"policy": torch.zeros(1, layers[0].shape[1])}, batch_size=[1])
@@ -124,7 +126,8 @@ def _onnx(network: MLPModel, path: Path) -> Callable[[Array], Array]:
 
 def _description(policy: TrainedPolicy, registry: TaskRegistry, network: MLPModel, away: float) -> dict[str, Any]:
     actions = network.as_jit()(torch.zeros(1, network.obs_dim)).shape[1]
-    columns = {} if registry.columns is None else registry.columns(policy.settings)
+    columns_of = registry.of(policy.name).columns
+    columns = {} if columns_of is None else columns_of(policy.settings)
     return {
         "task": policy.name, "iteration": policy.iteration, "bough": __version__, "checkpoint": str(policy.checkpoint),
         "observation": {"name": "observation", "size": network.obs_dim, "columns": columns, "normalised_inside": True},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from typing import Any
@@ -14,13 +14,13 @@ import torch
 os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")  # rsl-rl imports GitPython, which fails where there is no git
 
 from rsl_rl.algorithms import PPO
-from rsl_rl.models import MLPModel
+from rsl_rl.models import MLPModel, RNNModel
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 
 from ..runs.processes import Processes
+from ..tasks.ppo_settings import PPOSettings
 from ..tasks.task import Task
-from .ppo_settings import PPOSettings
 
 
 @dataclass(frozen=True)
@@ -107,6 +107,10 @@ class InPlacePPO(PPO):
         actions: torch.Tensor = super().act(kept)
         return actions
 
+    def numbers(self) -> dict[str, float]:
+        """Return what an iteration tells beside losses, by name: nothing."""
+        return {}
+
 
 class Runner(OnPolicyRunner):
     """rsl-rl's runner without its log, on any device, that goes on where another has stopped.
@@ -116,14 +120,18 @@ class Runner(OnPolicyRunner):
         settings: Numbers of PPO.
         processes: Those of the run, connected.
         after: Called at the end of every iteration.
+        algorithm: What its configuration says beside the settings; `InPlacePPO` if it names no other.
     """
 
+    alg: InPlacePPO
+
     def __init__(
-        self, task: Task, settings: PPOSettings, processes: Processes, after: Callable[[Iteration], None]
-    ) -> None:
+        self, task: Task, settings: PPOSettings, processes: Processes, after: Callable[[Iteration], None],
+        algorithm: Mapping[str, Any] | None = None,
+    ) -> None:  # fmt: skip
         self.processes = processes
         config = settings.runner_config()
-        config["algorithm"]["class_name"] = InPlacePPO
+        config["algorithm"] |= {"class_name": InPlacePPO, **(algorithm or {})}
         with redirect_stdout(io.StringIO()):  # it prints its networks
             super().__init__(task, config, None, str(task.device))
         self.logger = Tally(after, processes)
@@ -143,6 +151,16 @@ class Runner(OnPolicyRunner):
         self.alg.load(state, None, True)
         self.current_learning_iteration = done
 
+    def memory(self) -> dict[str, torch.Tensor]:
+        """Return copies of what recurrent networks hold of every world, by network; nothing of others."""
+        held = {"actor": self.alg.actor.get_hidden_state(), "critic": self.alg.critic.get_hidden_state()}
+        return {name: state.clone() for name, state in held.items() if state is not None}
+
+    def remember(self, memory: Mapping[str, torch.Tensor]) -> None:
+        """Take over what `memory` returned."""
+        for name, state in memory.items():
+            getattr(self.alg, name).reset(hidden_state=state.to(self.device))
+
     def _configure_multi_gpu(self) -> None:
         """As rsl-rl does, but with the processes connected already, so that CPU processes are possible too."""
         p = self.processes
@@ -160,8 +178,8 @@ def policy_of(state: dict[str, Any], settings: PPOSettings, task: Task) -> MLPMo
 def network_of(state: dict[str, Any], settings: PPOSettings, observations: TensorDict, num_actions: int) -> MLPModel:
     """Return the policy's network of a saved state, for observations of these sizes, on the CPU."""
     config = settings.actor_config()
-    del config["class_name"]
-    policy = MLPModel(observations, {"actor": ["policy"]}, "actor", num_actions, **config)
+    kind = {"MLPModel": MLPModel, "RNNModel": RNNModel}[config.pop("class_name")]
+    policy = kind(observations, {"actor": ["policy"]}, "actor", num_actions, **config)
     policy.load_state_dict(state["actor_state_dict"])
     policy.eval()
     return policy

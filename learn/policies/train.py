@@ -22,11 +22,13 @@ from ...version import __version__
 from ..runs.folder import MODEL, CheckpointFolder, RunFolder
 from ..runs.processes import Processes
 from ..runs.threads import one_thread
+from ..tasks.ppo_settings import PPOSettings
 from ..tasks.registry import TaskRegistry, plain, settings_from
 from ..tasks.task import Task, policy_seed, task_seed
 from .crowding import contacts_without_room
+from .lagrangian import algorithm_for
 from .ppo_runner import Iteration, Runner
-from .ppo_settings import PPOSettings
+from .run_log import Logger, RunLog, check_logger
 
 Progress = Callable[[int], None]
 
@@ -68,17 +70,19 @@ class Trainer:
         folder: Folder of the run.
         processes: Those of the run, connected.
         progress: Called with the iterations done since the last call.
+        logger: Where the numbers go beside ``metrics.csv``.
     """
 
     def __init__(
         self, task: Task, plan: Plan, folder: RunFolder, processes: Processes | None = None,
-        progress: Progress = lambda done: None,
+        progress: Progress = lambda done: None, logger: Logger = "tensorboard",
     ) -> None:  # fmt: skip
-        self.task, self.plan, self.folder, self.progress = task, plan, folder, progress
+        self.task, self.plan, self.folder, self.progress, self.logger = task, plan, folder, progress, logger
         self.processes = processes or Processes()
         torch.manual_seed(policy_seed(plan.seed, self.processes.rank))
-        self.runner = Runner(task, plan.ppo, self.processes, self._after)
+        self.runner = Runner(task, plan.ppo, self.processes, self._after, algorithm_for(task))
         self.done, self._steps = 0, 0
+        self._log: RunLog
         self._without_room = contacts_without_room(task)
 
     @property
@@ -108,6 +112,7 @@ class Trainer:
         try:
             self.runner.go_on_from(model, done)
             self.task.restore(own["task"])
+            self.runner.remember(own.get("memory", {}))
             torch.set_rng_state(own["random"])
             if "random_cuda" in own:
                 torch.cuda.set_rng_state(own["random_cuda"], self.task.device)
@@ -132,8 +137,14 @@ class Trainer:
         Raises:
             LostError: A loss is no longer finite.
         """
-        if self.done < self.plan.ppo.iterations:
+        if self.done >= self.plan.ppo.iterations:
+            return
+        logger = self.logger if self.processes.first else "none"
+        self._log = RunLog(self.folder.path, logger, self.done, config_of(self.plan, self.task, self.processes))
+        try:
             self.runner.run(self.plan.ppo.iterations - self.done)
+        finally:
+            self._log.close()
 
     def _after(self, iteration: Iteration) -> None:
         if not all(map(math.isfinite, iteration.losses.values())):
@@ -142,6 +153,7 @@ class Trainer:
         row = self._row(iteration)
         if self.processes.first:
             self.folder.add_metrics(row)
+        self._log.add(iteration)
         if self.done % self.plan.ppo.checkpoint_every == 0 or self.done == self.plan.ppo.iterations:
             self._save()
         self.progress(1)
@@ -149,7 +161,8 @@ class Trainer:
     def _row(self, i: Iteration) -> dict[str, float | None]:
         return {
             "iteration": i.number, "steps": self._steps, "episodes": i.episodes, "reward": i.reward, **i.metrics,
-            **{f"{name}_loss": value for name, value in i.losses.items()}, "learning_rate": i.learning_rate,
+            **{f"{name}_loss": value for name, value in i.losses.items()}, **self.runner.alg.numbers(),
+            "learning_rate": i.learning_rate,
             "action_std": i.action_std, "collect_seconds": round(i.collect_seconds, 4),
             "learn_seconds": round(i.learn_seconds, 4), "contacts_without_room": self._crowding(),
         }  # fmt: skip
@@ -162,6 +175,7 @@ class Trainer:
 
     def _save(self) -> None:
         own = {"task": self.task.snapshot(), "random": torch.get_rng_state(), "steps": self._steps}
+        own |= {"memory": held} if (held := self.runner.memory()) else {}
         if self.plan.device.startswith("cuda"):
             own["random_cuda"] = torch.cuda.get_rng_state(self.task.device)
         states = {self._own: own} | ({MODEL: self.runner.state()} if self.processes.first else {})
@@ -170,8 +184,9 @@ class Trainer:
 
 
 def train(
-    plan: Plan, out: Path, registry: TaskRegistry, *, resume: bool = False, progress: Progress = lambda done: None
-) -> Trainer:
+    plan: Plan, out: Path, registry: TaskRegistry, *, resume: bool = False, progress: Progress = lambda done: None,
+    logger: Logger = "tensorboard",
+) -> Trainer:  # fmt: skip
     """Train into a folder, or go on with what is there; return the trainer at the end of its run.
 
     Args:
@@ -180,13 +195,16 @@ def train(
         registry: Where the task is found.
         resume: Whether to go on with a run.
         progress: Called with the iterations done since the last call.
+        logger: Where the numbers go beside ``metrics.csv``: ``tensorboard``, ``wandb`` (both), or ``none``.
 
     Raises:
-        InputError: A number cannot be, there is a run already, or its checkpoint is not one to go on from.
+        InputError: A number cannot be, there is a run already, its checkpoint is not one to go on from, or the logger
+            is not installed.
         LostError: A loss is no longer finite.
     """
     plan.check()
-    registry.check_name(plan.task)
+    check_logger(logger)
+    registry.of(plan.task)
     folder, processes = RunFolder(out), Processes.of_torchrun()
     check_output(out)
     if folder.exists and not resume:
@@ -197,7 +215,7 @@ def train(
         task = registry.make(plan.task, plan.settings, num_envs=plan.ppo.num_envs, seed=seed, device=plan.device,
                              test=False)  # fmt: skip
         with one_thread():  # a sum in parts depends on how many there are
-            trainer = Trainer(task, plan, folder, processes, progress)
+            trainer = Trainer(task, plan, folder, processes, progress, logger)
             checkpoint = _agreed(folder.newest() if resume else None, folder, plan, processes)
             if checkpoint is None:
                 trainer.begin()
@@ -241,9 +259,7 @@ def plan_of(folder: RunFolder, registry: TaskRegistry) -> Plan:
     """
     config, source = folder.config(), folder.path / "config.json"
     name = config["task"]["name"]
-    if name not in registry.names:
-        raise InputError(source, "task", name, ", ".join(registry.names))
-    settings = settings_from(registry.settings, config["task"]["settings"], source)
+    settings = settings_from(registry.of(name, source, "task").settings, config["task"]["settings"], source)
     ppo = settings_from(PPOSettings, config["ppo"], source)
     return Plan(name, settings, ppo, config["seed"], config["device"])
 

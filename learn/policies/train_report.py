@@ -16,16 +16,11 @@ from ...sim.wood.effects import sentence as effects_sentence
 from ..reports.figures import FAINT, MODEL, WIDTH, styled
 from ..reports.page import KeyNumber, ReportContent, ReportFigure, number, write_report
 from ..runs.folder import CONFIG, METRICS_FILE, RunFolder
+from ..tasks.measures import Label, label_of, measures_of
 
 CURVE = "learning.png"
 LAST = 0.1
 """Share of the iterations, the last ones, that "at the end" means."""
-_PANELS = (
-    ("return", "return of an episode", 1.0),
-    ("success", "success [%]", 100.0),
-    ("occlusion_drop", "occlusion drop [%]", 100.0),
-    ("breach", "steps inside the margin [%]", 100.0),
-)
 Rows = Sequence[dict[str, float | None]]
 
 
@@ -63,7 +58,7 @@ def content(folder: RunFolder) -> ReportContent:
     return ReportContent(
         title=f"Training of {name}",
         headline=sentence(folder),
-        status="good" if np.isfinite(at_the_end(rows, "return")) else "warning",
+        status="good" if at_the_end(rows, "success") > 0.0 else "warning",
         numbers=_numbers(rows),
         figures=[ReportFigure(CURVE, learning_figure(rows), _CAPTION)],
         details=_details(config),
@@ -84,12 +79,18 @@ _CAPTION = (
 
 @styled
 def learning_figure(rows: Rows) -> Figure:
-    """Draw the metrics over the steps."""
-    figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
-    for axes, (name, label, scale) in zip(figure.subplots(2, 2, sharex=True).flat, _PANELS, strict=True):
-        _curve(axes, rows, name, scale)
-        axes.set_ylabel(label)
-    for axes in figure.axes[2:]:
+    """Draw all metrics of the task over the steps."""
+    names = measures_of(rows)
+    height = max(1, -(-len(names) // 2))
+    figure = Figure(figsize=(WIDTH, 2.5 * height), layout="constrained")
+    panels = figure.subplots(height, 2, sharex=True, squeeze=False)
+    for axes, name in zip(panels.flat, names, strict=False):
+        label = label_of(name)
+        _curve(axes, rows, name, label.scale)
+        axes.set_ylabel(label.axis)
+    for axes in panels.flat[len(names) :]:
+        axes.remove()
+    for axes in panels[-1]:
         axes.set_xlabel("steps of all worlds [millions]")
     return figure
 
@@ -116,16 +117,17 @@ def _numbers(rows: Rows) -> list[KeyNumber]:
     steps = rows[-1]["steps"] or 0.0
     last = f"Mean over the episodes of the last {100 * LAST:.0f} % of the iterations, with sampled actions."
     return [
-        KeyNumber("Return", at_the_end(rows, "return"), "", last),
-        KeyNumber("Success", 100 * at_the_end(rows, "success"), "%", last),
-        KeyNumber("Occlusion drop", 100 * at_the_end(rows, "occlusion_drop"), "%", last),
-        KeyNumber("Inside the margin", 100 * at_the_end(rows, "breach"), "%", "Share of steps; less is better."),
+        *(_number(rows, label_of(name), name, last) for name in measures_of(rows)),
         KeyNumber("Contacts without room", sum(row.get("contacts_without_room") or 0.0 for row in rows), "",
                   "Contacts that a world's buffer had no room for; nothing held the branches apart there."),
         KeyNumber("Time", seconds / 60.0, "min", "Spent in iterations, without building the worlds."),
         KeyNumber("Speed", steps / max(seconds, 1e-9), "steps/s", "Steps of all worlds, learning included."),
         KeyNumber("Learning", 100 * learn / max(seconds, 1e-9), "%", "Share of that time for the update."),
     ]  # fmt: skip
+
+
+def _number(rows: Rows, label: Label, name: str, last: str) -> KeyNumber:
+    return KeyNumber(label.name, label.scale * at_the_end(rows, name), label.unit, label.says or last)
 
 
 def _details(config: dict[str, Any]) -> dict[str, object]:

@@ -1,5 +1,5 @@
 """Recorded trajectories replayed with many sets of parameters; inverse dynamics along them.
 
-Uses: `kernels.tree`, `kernels.effects`, `sim.base`, `sim.effects`, `sim.engine`, `sim.pictures`, `learn.cases`,
-`learn.systems`.
+Uses: `kernels.tree`, `kernels.effects`, `sim.base`, `sim.effects`, `sim.trees`, `sim.engine`, `sim.pictures`,
+`learn.reports`, `learn.cases`, `learn.systems`.
 """

@@ -25,7 +25,7 @@ from .rollout import Rollout
 Fit = Literal["replay", "torque"]
 
 #: Share of a recording that an error of the model must outlive for its torques to be fitted.
-LONG = 0.5
+LONG = 0.3
 #: Largest noise of a rate relative to its rms, and largest share of a rate's rms above the filter's cut-off, at which a
 #: motion is taken for differentiable.
 NOISY, FAST = 0.1, 0.2

@@ -18,6 +18,7 @@ from ...sim.effects import terms_of
 from ...sim.engine.arrays import LaneArray
 from ..systems.acting import FIELD, ActingSet
 from ..systems.branch import BranchSystem
+from .midstep import driving
 from .recording import Recording, recordings
 from .worlds import ReplayWorlds
 
@@ -128,7 +129,7 @@ def _recorded(rollout: ReplayWorlds, sequence: Sequence[Recording]) -> list[Any]
         wp.array(which, dtype=int, device=device),
         wp.array([len(r.t) for r in sequence], dtype=int, device=device),
         wp.array([r.t_start for r in sequence], dtype=wp.float64, device=device),
-        wp.array(_stacked([r.input for r in sequence]), dtype=wp.float64, device=device),
+        wp.array(_stacked(driving(rollout.case, sequence)), dtype=wp.float64, device=device),
     ]
 
 

@@ -240,6 +240,11 @@ class EquationError(Rollout):
         replay = sim._launcher.prepare(kernel, before, [self._effort.kernel, self._output.kernel])
         self._replay = replay if not self.system.acting.names else self._with_effects(replay, integers, before[-1])
 
+    @property
+    def _damper_ahead(self) -> float:
+        """Nothing: efforts are predicted at the samples, without a step."""
+        return 0.0
+
     def _watched(self, out: torch.Tensor) -> torch.Tensor:
         """Average and thin the efforts [S, R, T, C] of thinned recordings."""
         if not self.recordings[0].every:

@@ -15,6 +15,7 @@ from ..cases.case import BranchCase, JointCase
 from ..systems.acting import FIELD
 from ..systems.branch import BranchSystem, Unknowns
 from .effect_rollout import EffectArrays, prepare
+from .midstep import Armature, driving
 from .recording import Recording
 from .worlds import ReplayWorlds
 
@@ -30,12 +31,15 @@ class Rollout(ReplayWorlds):
 
     def __init__(
         self, case: BranchCase | JointCase, chosen: Sequence[Recording], num_sets: int, *,
-        unknowns: Unknowns | None = None, device: Any = None, track: bool = False,
+        unknowns: Unknowns | None = None, device: Any = None, track: bool = False, finer: int = 1,
     ) -> None:  # fmt: skip
-        """Build the worlds; with ``track`` those of a branch with effects note their joints' coordinates too."""
-        super().__init__(case, chosen, num_sets, unknowns=unknowns, device=device, track=track)
+        """Build the worlds, see `ReplayWorlds`."""
+        super().__init__(case, chosen, num_sets, unknowns=unknowns, device=device, track=track, finer=finer)
         self.world_steps, self.seconds = 0, 0.0
         self.effects: EffectArrays | None = None
+        arrays = self.model.arrays
+        half = 0.0 if isinstance(self.system, BranchSystem) else self._damper_ahead
+        self._armature = Armature(arrays["armature"].torch, arrays["damping"].torch, half)
         self._prepare()
 
     def _prepare(self) -> None:
@@ -45,8 +49,8 @@ class Rollout(ReplayWorlds):
         m, sim, dev = self.model, self.simulator, self.device
         longest, count = int(self.samples.max()), len(self.recordings)
         inputs = np.zeros((count, longest, max(1, self.recordings[0].input.shape[1])))
-        for j, r in enumerate(self.recordings):
-            inputs[j, : len(r.t), : r.input.shape[1]] = r.input
+        for j, (r, acts) in enumerate(zip(self.recordings, driving(self.case, self.recordings), strict=True)):
+            inputs[j, : len(r.t), : acts.shape[1]] = acts
         trajectory: wp.array = wp.array(np.repeat(np.arange(count), self.blocks), dtype=int, device=dev)
         length: wp.array = wp.array(self.samples, dtype=int, device=dev)
         drive: wp.array = wp.array(inputs, dtype=wp.float64, device=dev)
@@ -95,7 +99,9 @@ class Rollout(ReplayWorlds):
             that the next call overwrites.
         """
         sim, width = self.simulator, self.model.width
+        self._armature.restore()
         self.system.write(self._padded(values).view(self.blocks, width, -1).flatten(0, 1), self.model, self._blocked)
+        self._armature.centre()
         self._reset(start)
         sim.refresh()
         if self.effects is not None:
@@ -113,6 +119,11 @@ class Rollout(ReplayWorlds):
     def _half_step(self) -> float:
         """Half of a step [s], by which joints' coordinates are ahead of their rates."""
         return 0.5 * self.simulator.dt / self.substeps
+
+    @property
+    def _damper_ahead(self) -> float:
+        """How far ahead of a step's middle an implicit damper has its rate [s]."""
+        return self._half_step
 
     def _watched(self, out: torch.Tensor) -> torch.Tensor:
         """Measured channels of joints at their samples.
@@ -147,7 +158,8 @@ class Rollout(ReplayWorlds):
             start = guess.expand(self.num_sets, *guess.shape)
         rows = self._padded(start).view(self.blocks, self.model.width, *start.shape[1:]).clone()
         rows[..., 0] += self._half_step * rows[..., 1]
-        for field, entry, c in ((state.coordinate, 1, 0), (state.velocity, 0, 1)):
+        # a step looks ahead by the change of the rate in the last one: there was none
+        for field, entry, c in ((state.coordinate, 1, 0), (state.velocity, 0, 1), (state.velocity, 2, 1)):
             target = field.torch.unflatten(0, (self.chains, self.blocks))
             for i in range(start.shape[2]):
                 place = self._places[i]

@@ -34,9 +34,12 @@ class ReplayWorlds:
 
     def __init__(
         self, case: BranchCase | JointCase, chosen: Sequence[Recording], num_sets: int, *,
-        unknowns: Unknowns | None = None, device: Any = None, track: bool = False,
+        unknowns: Unknowns | None = None, device: Any = None, track: bool = False, finer: int = 1,
     ) -> None:  # fmt: skip
-        """Build the worlds; with ``track`` those of a branch with effects note their joints' coordinates too."""
+        """Build the worlds; with ``track`` those of a branch with effects note their joints' coordinates too.
+
+        Steps are ``finer`` times as short as the system's own.
+        """
         self.track = track
         self.case, self.system = case, system_of(case, unknowns)
         self.recordings = list(chosen)
@@ -47,7 +50,7 @@ class ReplayWorlds:
         self.chains = 1 if self.system.acting.persists else len(chosen)  # damage: one world replays all recordings
         worlds = [self.system.tree] * (self.chains * self.blocks * width)
         self.model = Model(worlds, gravity=self.system.gravity, device=self.device, width=width)
-        self.substeps = max(1, int(np.ceil(case.dt / self.system.substep - 1e-9)))
+        self.substeps = finer * max(1, int(np.ceil(case.dt / self.system.substep - 1e-9)))
         self.simulator = Simulator(self.model, dt=case.dt, substeps=self.substeps)
         self.samples = np.array([len(r.t) for r in chosen])
         self.torch_device = self.simulator.position.device

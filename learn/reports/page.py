@@ -13,8 +13,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .figures import WIDTH, png
+from .motion import ReportMotion
 
-REPORT = "report.html"
+REPORT, TEMPLATES = "report.html", Path(__file__).parent / "templates"
 
 
 @dataclass(frozen=True)
@@ -55,11 +56,12 @@ class ParameterRow:
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure: name of its PNG file, the drawing (or PNG bytes), and one sentence that says what it shows."""
+    """A figure: name of its PNG file, the drawing (or PNG bytes), what it shows, what follows from it (or nothing)."""
 
     file: str
     image: Figure | bytes
     caption: str
+    conclusion: str = ""
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,11 @@ class ReportContent:
         headline: The verdict in one sentence.
         status: ``good``, ``warning`` or ``bad``; colours the headline.
         numbers: Key numbers.
+        precisely: The verdict again in the field's terms, below the headline; may be empty.
+        commands: Commands to go on with and what each does, with a button that copies it.
+        motion: What plays on the page; may be None.
+        exact: Key numbers that are shown only when asked for.
+        folded: Whether parameters and tables are shown only when asked for, too.
         parameters: Inferred parameters; the table is left out if there are none.
         caveat: What to know before the parameters' intervals are used, below their table; may be empty.
         figures: Figures in reading order.
@@ -104,6 +111,11 @@ class ReportContent:
     details: dict[str, object] = field(default_factory=dict)
     further: list[tuple[str, str]] = field(default_factory=list)
     tables: list[ReportTable] = field(default_factory=list)
+    precisely: str = ""
+    commands: list[tuple[str, str]] = field(default_factory=list)
+    motion: ReportMotion | None = None
+    folded: bool = False
+    exact: list[KeyNumber] = field(default_factory=list)
 
 
 def write_report(folder: str | Path, content: ReportContent) -> Path:
@@ -124,7 +136,7 @@ def write_report(folder: str | Path, content: ReportContent) -> Path:
         share = 1.0 if isinstance(item.image, bytes) else min(1.0, item.image.get_figwidth() / WIDTH)
         images.append((item, base64.b64encode(data).decode("ascii"), round(100.0 * share)))
     page = out / REPORT
-    page.write_text(_template().render(content=content, images=images), encoding="utf-8")
+    page.write_text(_rendered(content, images), encoding="utf-8")
     return page
 
 
@@ -144,13 +156,12 @@ def number(value: object, digits: int = 3) -> str:
     return f"{mantissa} × 10^{int(exponent)}"
 
 
-def _template() -> jinja2.Template:
+def _rendered(content: ReportContent, images: list[tuple[ReportFigure, str, int]]) -> str:
+    """Return the page as text; its script is a file of its own, without data."""
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+        loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
     environment.filters["number"] = number
-    return environment.get_template("identify.html.j2")
+    script = (TEMPLATES / "report.js").read_text(encoding="utf-8")
+    return environment.get_template("report.html.j2").render(content=content, images=images, script=script)

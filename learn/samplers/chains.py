@@ -193,6 +193,3 @@ class Hamiltonian(Dynamics):
 def _towards(factor: torch.Tensor, now: torch.Tensor, gain: float) -> torch.Tensor:
     """Move the matrix with Cholesky factor [D, D] towards that of another factor by a share ``gain``."""
     return torch.linalg.cholesky((1.0 - gain) * factor @ factor.T + gain * now @ now.T)
-
-
-ALL: tuple[type[Population], ...] = (MetropolisHastings, Langevin, Hamiltonian)

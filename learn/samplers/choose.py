@@ -1,4 +1,4 @@
-"""All samplers behind one interface, by name, and one function that draws from any density.
+"""Samplers behind one interface, by name, and one function that draws from any density.
 
 | name | sampler | gradients | draws |
 |---|---|---|---|
@@ -17,17 +17,13 @@ from dataclasses import dataclass
 import torch
 
 from ...sim.base.errors import InputError
-from . import chains as sampler_chains
-from .base import AutogradDensity, Density, Population, Sampler, State
-from .emcee_sampler import Emcee
-from .svgd import Svgd
+from .base import AutogradDensity, Density, Sampler, State
+from .registry import SAMPLERS
 
 __all__ = ["METHODS", "AutogradDensity", "Density", "Draws", "Sampler", "State", "make_sampler", "sample"]
 
-_ALL: tuple[type[Population], ...] = (Svgd, *sampler_chains.ALL, Emcee)
-_CLASSES = {c.name: c for c in _ALL}
-METHODS = tuple(_CLASSES)
-"""Names of the samplers."""
+METHODS = tuple(SAMPLERS.own)
+"""Names of bough's samplers."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +62,7 @@ def make_sampler(
     """Make a sampler.
 
     Args:
-        name: One of `METHODS`.
+        name: One of `METHODS`, or of an installed package (`registry.SAMPLERS`).
         particles: Where particles or chains start, shape [P, D].
         iterations: Length of the run, which schedules of steps and the warm-up (the first half) refer to.
         seed: Of every random number.
@@ -75,15 +71,14 @@ def make_sampler(
     Raises:
         InputError: The name is unknown, the sampler has no step, or its particles or iterations cannot be used.
     """
-    if name not in _CLASSES:
-        raise InputError("sampler", "method", repr(name), f"one of {', '.join(METHODS)}")
+    kind = SAMPLERS.of(name, "sampler", "method")
     if step_size is None:
-        return _CLASSES[name](particles, iterations=iterations, seed=seed)  # type: ignore[return-value]
-    if name in ("mh", "emcee"):
+        return kind.make(particles, iterations=iterations, seed=seed)
+    if not kind.has_step:
         raise InputError(name, "step_size", f"{step_size:g}", "none: this sampler finds its own")
     if not 0.0 < step_size <= 1.0:
         raise InputError(name, "step_size", f"{step_size:g}", "above 0, at most 1")
-    return _CLASSES[name](particles, iterations=iterations, seed=seed, step_size=step_size)  # type: ignore
+    return kind.make(particles, iterations=iterations, seed=seed, step_size=step_size)
 
 
 def sample(
@@ -101,7 +96,7 @@ def sample(
     Args:
         density: What to draw from; `AutogradDensity` makes one of a torch function.
         particles: Where particles or chains start, shape [P, D].
-        method: One of `METHODS`.
+        method: As the name of `make_sampler`.
         iterations: Number of iterations.
         seed: Of every random number: the same seed gives the same bits.
         step_size: As in `make_sampler`.

@@ -11,7 +11,7 @@ import torch
 
 from ...sim.base.errors import InputError
 from ...sim.base.types import Array
-from ...sim.effects import Effect, EffectParameter, Law, Setting, effect_of
+from ...sim.effects import Effect, EffectParameter, Law, Setting, effect_of, in_setting
 from ...sim.effects.registry import Form
 from ...sim.engine.model import Model
 from ..cases.case import BranchCase, JointCase
@@ -172,12 +172,8 @@ def _ordered(acting: Sequence[Acting], source: str) -> list[Effect]:
 
 def parameter_of(a: Acting, spec: EffectParameter, setting: Setting) -> Parameter:
     """Return the unknown of an effect's parameter, its box relative to the setting."""
-
-    def number(bound: object) -> float:
-        return float(bound(setting)) if callable(bound) else float(bound)  # type: ignore[arg-type]
-
-    low, high = number(spec.low), number(spec.high)
-    typical = None if spec.typical is None else min(max(number(spec.typical), low), high)
+    low, high = in_setting(spec.low, setting), in_setting(spec.high, setting)
+    typical = None if spec.typical is None else min(max(in_setting(spec.typical, setting), low), high)
     return Parameter(f"{a.label} {spec.name}", unit_at(spec.unit, setting.slides), low, high, typical, spec.scale)
 
 

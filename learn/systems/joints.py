@@ -12,7 +12,7 @@ from ..cases.case import JointCase
 from ..cases.joints import JointSpec
 from .acting import ActingSet
 from .joint_guess import guess_joint
-from .system import Parameter, Write
+from .system import FINEST, TURN, Parameter, Write, longest_step
 
 #: Least upper bound of a spring or damper relative to its first guess.
 SLOW = 30.0
@@ -29,15 +29,13 @@ class JointSystem:
     """
 
     G = 9.81
-    #: Largest phase an oscillation may turn by in a step [rad]: a first-order step then errs by a few percent of it.
-    TURN = 0.1
 
     def __init__(self, case: JointCase) -> None:
         self.joints: tuple[JointSpec, ...] = tuple(j for j in case.joints if isinstance(j, JointSpec))
         self.gravity = np.array([0.0, 0.0, -self.G])
         # inertia and stiffness that are sought stay below the fastest oscillation that the samples can show
-        self._finest = 0.5 * self.TURN * case.dt
-        self.substep = max(1e-3, self._finest)
+        self._finest = FINEST * case.dt
+        self.substep = longest_step(case.dt)
         self._slots: list[tuple[int, str]] = []
         found: list[Parameter] = []
         fastest = (2.0 / case.dt) ** 2  # three samples a period
@@ -94,9 +92,9 @@ class JointSystem:
         return [Parameter(f"offset {joint.name}", unit, -most, most, 0.0, "linear")]
 
     def _resolve(self, inertia: float, stiffness: float, finest: float) -> None:
-        """Shorten the step so that an oscillation of the guessed frequency turns by at most `TURN` per step."""
+        """Shorten the step so that an oscillation of the guessed frequency turns by at most `TURN` in a step."""
         if stiffness > 0.0:
-            self.substep = min(self.substep, max(finest, self.TURN * (inertia / stiffness) ** 0.5))
+            self.substep = min(self.substep, max(finest, TURN * (inertia / stiffness) ** 0.5))
 
     def _tree(self, name: str) -> Tree:
         n = len(self.joints)

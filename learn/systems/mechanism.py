@@ -13,17 +13,15 @@ from ...sim.base.errors import InputError
 from ...sim.base.types import Array
 from ...sim.engine.model import Model
 from ...sim.engine.parameters import Links, link_parameters
-from ...sim.formats.import_mjcf import load_mjcf
+from ...sim.formats.import_mjcf import MEASURED, load_mjcf
 from ...sim.trees.tree import Tree
 from ..cases.case import JointCase
 from ..cases.joints import UNKNOWN, JointAxis
 from .acting import ActingSet
-from .system import Parameter, Write
+from .system import FINEST, TURN, Parameter, Write, longest_step
 
 Values = dict[str, torch.Tensor]
 
-#: Longest step [s], and largest phase that a spring's oscillation may turn by in a step [rad].
-LONGEST, TURN = 1e-3, 0.1
 #: Parts of an unknown that has more than one: the centre of mass moves across the joint's axis only.
 PARTS = {"com": ("com along", "com across")}
 
@@ -77,7 +75,7 @@ class MechanismSystem:
 
     def __init__(self, case: JointCase) -> None:
         assert case.mjcf is not None
-        mechanism = load_mjcf(case.mjcf)
+        mechanism = load_mjcf(case.mjcf, MEASURED)
         self.joints: tuple[JointAxis, ...] = case.joints
         self.gravity = mechanism.gravity
         self.tree, self._rest = _relaxed_at_zero(mechanism.tree)
@@ -86,8 +84,8 @@ class MechanismSystem:
         self._case = case
         self._bodies = {j.name: _body(self._links, j.link) for j in self.joints}
         self._carried = {j.name: _carried(self.tree, j) for j in self.joints}
-        finest = 0.5 * TURN * case.dt  # an oscillation that the samples can show
-        self.substep = min([LONGEST, *(max(finest, TURN / w) for w in self._frequencies() if w > 0.0)])
+        steps = [max(FINEST * case.dt, TURN / w) for w in self._frequencies() if w > 0.0]
+        self.substep = min([longest_step(case.dt), *steps])
         named = [(q, j) for j in self.joints for q in UNKNOWN if q in case.unknown or f"{q} {j.name}" in case.unknown]
         chosen = [(q, j) for q, j in named if self._exists(q, j)]
         self._slots = [(part, j) for q, j in chosen for part in PARTS.get(q, (q,))]

@@ -1,15 +1,18 @@
-"""Tasks of clearing branches from a target with the whole arm: ``powerline``, ``exposure``, ``inspection``."""
+"""Making tasks: clearing branches with the whole arm (``powerline``, ``exposure``, ``inspection``), and ``reach``."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ...sim.base.errors import InputError
 from ...sim.base.host import check_memory
 from .settings import TaskSettings, check_name
 from .task import require_rsl_rl
 
 if TYPE_CHECKING:
     from .powerline import Powerline
+    from .reach import BranchTask
+    from .reach_settings import ReachSettings
 
 
 WORLD_BYTES = 100_000
@@ -41,6 +44,36 @@ def make_task(
     from .powerline import Powerline
 
     return Powerline(name, settings, num_envs=num_envs, seed=seed, device=device, test=test)
+
+
+def make_reach(
+    name: str = "reach", settings: ReachSettings | None = None, *, num_envs: int = 64, seed: int = 0,
+    device: str = "cpu", test: bool = False,
+) -> BranchTask:  # fmt: skip
+    """Make the worlds of ``reach``: an rsl-rl ``VecEnv`` whose tensors never leave the device.
+
+    Args:
+        name: ``reach``.
+        settings: Its settings; None takes the preset ``cpu``.
+        num_envs: Number of worlds.
+        seed: Seed of everything random. Tests draw other numbers from the same seed than training.
+        device: ``cpu`` or ``cuda:N``.
+        test: Whether all contacts are on and worlds are those of a test set: fixed targets, five occlusion patterns.
+
+    Raises:
+        InputError: Settings that cannot be, no world, or rsl-rl is missing.
+    """
+    from .names import REACHING
+    from .reach_settings import ReachSettings
+
+    if name not in REACHING:
+        raise InputError("task", "", name, ", ".join(REACHING))
+    settings = (settings or ReachSettings()).check()
+    require_rsl_rl()
+    _check_memory(num_envs, device)
+    from .reach import BranchTask
+
+    return BranchTask(settings, num_envs=num_envs, seed=seed, device=device, test=test)
 
 
 def _check_memory(num_envs: int, device: str) -> None:

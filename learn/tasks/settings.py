@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from ...perception.sensor import SensorSettings
 from ...sim.base.errors import InputError
 from ...sim.scenes.scene import Range, SceneSettings, Target
 from ...sim.wood.effects import WoodEffects
 from ...sim.wood.posterior import Wood
+from .parts import first_columns
 
 TARGETS = {
     "powerline": Target(),
@@ -16,8 +18,6 @@ TARGETS = {
     "inspection": Target(length=(0.25, 0.35), clearance=0.02, strips=4, width=0.2, radius=0.01),
 }
 """Targets of the tasks: a power line's slice, a fruit, a panel seen as four strips around a rail."""
-
-NAMES = tuple(TARGETS)
 
 GROUPS = ("proprioceptive", "kme", "touch", "local", "occlusion")
 """Groups of observations, in the order of table 5.1; each can be left out."""
@@ -31,11 +31,32 @@ FEATURES = {
 }
 """Features of each group, in the order of their columns."""
 
-_STEP_RATE = 240.0  # physics steps a second
+LATER = {"later": True}
+"""Metadata of settings that an older run may lack; their default is what it had."""
+
+STEP_RATE = 240.0
+"""Physics steps a second [Hz]."""
+
+
+class Rates:
+    """How often a task acts [Hz], for settings that have these numbers."""
+
+    policy_rate: float
+    control_rate: float
+
+    @property
+    def control_periods(self) -> int:
+        """Control periods of a policy step."""
+        return round(self.control_rate / self.policy_rate)
+
+    @property
+    def period_steps(self) -> int:
+        """Physics steps of a control period."""
+        return round(STEP_RATE / self.control_rate)
 
 
 @dataclass(frozen=True)
-class TaskSettings:
+class TaskSettings(Rates):
     """Settings of a task; the defaults are the ``cpu`` preset (`PRESETS`).
 
     Attributes:
@@ -53,6 +74,7 @@ class TaskSettings:
             5.5.1: 0.005 to 0.04).
         action_delay: Greatest latency of actions [policy steps], drawn every episode.
         observation_delay: Greatest latency of observations [policy steps], drawn every episode.
+        arm: Name of the arm (`sim.arms.registry.ARMS`).
     """
 
     groups: tuple[str, ...] = GROUPS
@@ -67,6 +89,7 @@ class TaskSettings:
     max_noise: Range = (0.005, 0.005)
     action_delay: int = 0
     observation_delay: int = 0
+    arm: str = field(default="jaco2", metadata=LATER)
 
     def check(self) -> TaskSettings:
         """Return self if a task can be made of it.
@@ -75,30 +98,16 @@ class TaskSettings:
             InputError: An unknown or missing group, rates that do not divide each other, a number out of range.
         """
         for name in self.groups:
-            _need(name in GROUPS, "groups", name, ", ".join(GROUPS))
-        _need(len(self.groups) > 0, "groups", "none", "at least one of " + ", ".join(GROUPS))
-        for name, fast, slow in (
-            ("policy_rate", self.control_rate, self.policy_rate), ("control_rate", _STEP_RATE, self.control_rate),
-        ):  # fmt: skip
-            whole = slow > 0 and abs(fast / slow - round(fast / slow)) < 1e-9
-            _need(whole, name, f"{slow:g} Hz", f"a whole part of {fast:g} Hz")
+            need(name in GROUPS, "groups", name, ", ".join(GROUPS))
+        need(len(self.groups) > 0, "groups", "none", "at least one of " + ", ".join(GROUPS))
+        check_rates(self.policy_rate, self.control_rate)
         for name in ("episode_steps", "success_steps"):
-            _need(getattr(self, name) >= 1, name, str(getattr(self, name)), "1 or more steps")
+            need(getattr(self, name) >= 1, name, str(getattr(self, name)), "1 or more steps")
         for name in ("action_delay", "observation_delay"):
-            _need(getattr(self, name) >= 0, name, str(getattr(self, name)), "0 or more steps")
+            need(getattr(self, name) >= 0, name, str(getattr(self, name)), "0 or more steps")
         low, high = self.max_noise
-        _need(0.0 <= low <= high, "max_noise", f"{low:g} to {high:g} m", "a range from 0 or more")
+        need(0.0 <= low <= high, "max_noise", f"{low:g} to {high:g} m", "a range from 0 or more")
         return self
-
-    @property
-    def control_periods(self) -> int:
-        """Control periods of a policy step."""
-        return round(self.control_rate / self.policy_rate)
-
-    @property
-    def period_steps(self) -> int:
-        """Physics steps of a control period."""
-        return round(_STEP_RATE / self.control_rate)
 
     @property
     def physics_steps(self) -> int:
@@ -113,20 +122,20 @@ class TaskSettings:
         return replace(self, scene=scene, sensor=sensor)
 
 
+def sizes_of(settings: TaskSettings, dofs: int) -> dict[str, int]:
+    """Return the number of columns of every feature."""
+    sizes = {"q": dofs, "qd": dofs, "hand": 4, "touch": 1, "distances": 5, "breach": 1, "occlusion": 1}
+    return sizes | dict.fromkeys(FEATURES["kme"], 2 * settings.sensor.features)
+
+
 def columns_of(settings: TaskSettings, dofs: int) -> tuple[dict[str, int], int]:
     """Return the first column of every feature left in, and the number of columns: 88 with all groups and 6 joints."""
-    size = {"q": dofs, "qd": dofs, "hand": 4, "touch": 1, "distances": 5, "breach": 1, "occlusion": 1}
-    size |= dict.fromkeys(FEATURES["kme"], 2 * settings.sensor.features)
-    first, out = 0, {}
-    for group in GROUPS:
-        for name in FEATURES[group] if group in settings.groups else ():
-            out[name] = first
-            first += size[name]
-    return out, first
+    size = sizes_of(settings, dofs)
+    return first_columns((name, size[name]) for g in GROUPS if g in settings.groups for name in FEATURES[g])
 
 
-def of_wood(settings: TaskSettings, wood: Wood, effects: WoodEffects) -> TaskSettings:
-    """Return the settings with trees of the wood of a measured branch, and the effects that it was found to have."""
+def of_wood(settings: Any, wood: Wood, effects: WoodEffects) -> Any:
+    """Return a task's settings with trees of the wood of a measured branch, and the effects found in it."""
     return replace(settings, scene=replace(settings.scene, wood=wood, effects=effects))
 
 
@@ -137,10 +146,20 @@ def all_scenes(settings: TaskSettings) -> TaskSettings:
 
 def check_name(name: str) -> None:
     """Raise `InputError` for a task that does not exist."""
-    _need(name in NAMES, "", name, ", ".join(NAMES))
+    need(name in TARGETS, "", name, ", ".join(TARGETS))
 
 
-def _need(ok: bool, place: str, found: str, allowed: str) -> None:
+def check_rates(policy_rate: float, control_rate: float) -> None:
+    """Raise `InputError` for rates that do not divide each other [Hz]."""
+    for name, fast, slow in (
+        ("policy_rate", control_rate, policy_rate), ("control_rate", STEP_RATE, control_rate),
+    ):  # fmt: skip
+        whole = slow > 0 and abs(fast / slow - round(fast / slow)) < 1e-9
+        need(whole, name, f"{slow:g} Hz", f"a whole part of {fast:g} Hz")
+
+
+def need(ok: bool, place: str, found: str, allowed: str) -> None:
+    """Raise `InputError` for a setting of a task that cannot be."""
     if not ok:
         raise InputError("task", place, found, allowed)
 

@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ...sim.base.errors import InputError
+from ...sim.base.extras import install_hint
 
 if TYPE_CHECKING:
     import numpy as np
@@ -14,17 +15,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from tensordict import TensorDict
 
-METRICS = ("return", "success", "occlusion_drop", "breach", "steps_clear")
-"""What a task says of every finished episode: sum of rewards; 1 or 0; share of the starting occlusion that is gone;
-share of steps inside the safety margin; steps without occlusion."""
-
 
 class Task(Protocol):
     """An rsl-rl ``VecEnv`` with a name, a version and a state that can be kept.
 
     Worlds restart by themselves when their episode ends. Buffers may be written in place by the next step. A task may
-    have two methods more, for tests: ``scenes()``, which returns numbers about the present worlds by name, and
-    ``watch()``, which returns a `Watch`.
+    have more methods. For tests: ``scenes()``, which returns numbers about the present worlds by name, ``watch()``,
+    which returns a `Watch`, ``strata()``, which returns kinds of worlds by name, bool [W] each, and ``targets()``,
+    which returns which worlds of all test sets are about the same, int [W]. A task under a constraint has
+    ``cost_limit``, what the mean cost of a step may be, and ``cost`` [W] in the extras of a step. For Gymnasium:
+    ``restart()``, which begins new episodes in all worlds, and ``keep_final()``, which returns the memory in which the
+    last observations of episodes are kept from then on, [W, O].
 
     Attributes:
         name: Name in the registry.
@@ -36,6 +37,7 @@ class Task(Protocol):
         step_seconds: Simulated time of a policy step [s].
         device: Where its tensors are.
         cfg: Its settings.
+        metrics: What it says of every finished episode; ``return`` and ``success`` (1 or 0) are among it.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Task(Protocol):
     step_seconds: float
     device: torch.device | str
     cfg: Any
+    metrics: tuple[str, ...]
 
     def get_observations(self) -> TensorDict:
         """Return the observations, a group ``policy`` of shape [W, O]; after `restore` those of the snapshot."""
@@ -55,7 +58,7 @@ class Task(Protocol):
         """Act, shape [W, A]; return observations, rewards [W], dones [W] and extras.
 
         Extras hold ``time_outs`` [W], 1 where an episode ended by its length alone, and ``log``, a tensor [W] for each
-        of `METRICS`, which counts where a world is done.
+        of ``metrics``, which counts where a world is done.
         """
 
     def snapshot(self) -> dict[str, torch.Tensor]:
@@ -82,7 +85,7 @@ def require_rsl_rl() -> None:
     """Raise `InputError` where the optional part that training needs is not installed."""
     for name in ("rsl_rl", "tensordict"):
         if find_spec(name) is None:
-            raise InputError("bough", "", f"no {name}", "pip install 'bough[train]'")
+            raise InputError("bough", "", f"no {name}", install_hint("train"))
 
 
 def task_seed(seed: int, rank: int) -> int:

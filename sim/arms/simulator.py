@@ -17,6 +17,7 @@ from ...kernels.contact.step import contact_step_kernel
 from ...kernels.effects.step import term_types
 from ..base.errors import InputError
 from ..base.thread_pool import recorded
+from ..engine.load import Load
 from ..engine.model import Model
 from ..engine.rupture import Rupture
 from ..engine.simulator import Simulator
@@ -260,6 +261,19 @@ class ArmSimulator(Simulator):
         super().step(count)
         if self.rupture is not None:
             self.rupture.judge()
+
+    @property
+    def load(self) -> Load:
+        """Forces on the branches, as in `Simulator`, where the step is built with an effect (a neutral one will do).
+
+        Raises:
+            InputError: There is no effect; such a step reads no load.
+        """
+        if not self.effects:
+            found = "a load on branches, which a step without effects does not read"
+            allowed = 'ArmSimulator(..., effects=("steady_wind",)), which is neutral at first'
+            raise InputError("simulator", "load", found, allowed)
+        return super().load
 
     def _prepare_step(self, count: int, *, split: bool) -> Callable[[], None]:
         kernel = contact_step_kernel(self.model.width, self.arm.num_dofs, self.effects.terms)

@@ -15,7 +15,7 @@ import trimesh
 from ..base.errors import InputError
 from ..base.rotation import quat_conjugate, quat_multiply, quat_rotate
 from ..base.types import Array
-from ..formats.import_urdf import _KINDS, _joint_values, _joints, _link_values, _links, _origin, _without_world
+from ..formats.import_urdf import _KINDS, _SLIDES, _joint_values, _joints, _link_values, _links, _origin, _without_world
 from ..formats.xml_tree import Element, read_xml
 from ..trees.inertia import MassProperties, Pose, combined
 from ..trees.pose import pose, zero_qpos
@@ -137,8 +137,9 @@ def _chain(file: Path, tree: Tree, joints: dict[str, Element], end_link: str | N
     else:
         raise InputError(file, "end_link", f"'{end_link}', which does not exist", "one of the file's links")
     for i in chain:
-        if tree.joint[i] != Joint.REVOLUTE:
-            found = f"a {Joint(tree.joint[i]).name.lower()} joint"
+        kind = joints[tree.link_name[i]].attrib["type"]
+        if tree.joint[i] != Joint.REVOLUTE or kind in _SLIDES:  # the last turn of a planar joint is a hinge of the tree
+            found = f"type='{kind}'" if kind in _SLIDES else f"a {Joint(tree.joint[i]).name.lower()} joint"
             raise joints[tree.link_name[i]].error(found, _RULE)
         if joints[tree.link_name[i]].find("mimic") is not None:
             raise joints[tree.link_name[i]].error("a <mimic> in the chain", "joints that move on their own")

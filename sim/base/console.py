@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -213,3 +214,16 @@ def shown(path: str | Path) -> str:
     absolute = Path(path).absolute()
     here = Path.cwd()
     return str(absolute.relative_to(here)) if absolute.is_relative_to(here) else str(absolute)
+
+
+def tell(text: str, result: Mapping[str, Any] | Path, as_json: bool) -> None:
+    """Print what a command has come to: a text for people, or its result as JSON for programs.
+
+    Args:
+        text: What people read.
+        result: What programs read, or the JSON file that holds it.
+        as_json: Whether a program reads.
+    """
+    if as_json:
+        text = result.read_text() if isinstance(result, Path) else json.dumps(result, indent=2, allow_nan=False)
+    print(text.rstrip("\n"))

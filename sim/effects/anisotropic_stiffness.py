@@ -21,6 +21,7 @@ def anisotropic_stiffness(j: Any, p: Any, r: Any):
 EFFECT = register(
     Effect(
         name="anisotropic_stiffness",
+        plain="a joint that is stiffer in one plane than in another",
         summary="stiffness K (1 + rel) for bending about one axis across the segment, K about the others",
         source="Gere & Timoshenko, Mechanics of Materials (1997), section 6.4 (unsymmetric bending)",
         signature="pushes across the principal axes come back sideways; two frequencies in two planes",

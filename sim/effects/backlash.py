@@ -28,14 +28,18 @@ def backlash(j: Any, p: Any, r: Any):
 
 @wp.func
 def backlash_ball(j: Any, p: Any, r: Any):
-    """tau_k = +K phi_k min(1, g / r_k), rounded, with r_k^2 = (1 - m) |phi|^2 + m phi_k^2: one gap, or one an axis."""
+    """tau_k = +K phi_k ((1 - m) min(1, g / |phi|) + m min(1, g / |phi_k|)), rounded: one gap, or one an axis.
+
+    Either is the gradient of an energy, so what is between gives none.
+    """
     o = real(0.0, p.a)
     a = j.angle
-    joint = (real(1.0, o) - p.b) * dot(a, a)
+    own = p.b
+    joint = (real(1.0, o) - own) * lacking(dot(a, a), p.a, p.c)
     torque = type(a)(
-        a.x * lacking(joint + p.b * a.x * a.x, p.a, p.c),
-        a.y * lacking(joint + p.b * a.y * a.y, p.a, p.c),
-        a.z * lacking(joint + p.b * a.z * a.z, p.a, p.c),
+        a.x * fma(own, lacking(a.x * a.x, p.a, p.c), joint),
+        a.y * fma(own, lacking(a.y * a.y, p.a, p.c), joint),
+        a.z * fma(own, lacking(a.z * a.z, p.a, p.c), joint),
     )
     return type(r)(torque * j.stiffness, r.memory, o, o)
 
@@ -47,6 +51,7 @@ _ROUNDING = EffectParameter("rounding", "1", 0.0, 0.3, tries=1, optional=True)
 EFFECT = register(
     Effect(
         name="backlash",
+        plain="play",
         summary="no spring within an angle g of rest, where the pre-load alone holds the joint; beyond, -K (|phi| - g),"
         " the corner rounded where the edges of the gap are not hard; at a ball joint the gap is round, or square where"
         " each axis of the segment plays by itself, or between",

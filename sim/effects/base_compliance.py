@@ -5,6 +5,7 @@ from .registry import Effect, EffectParameter, Law, register
 EFFECT = register(
     Effect(
         name="base_compliance",
+        plain="a base that gives way",
         summary="one more ball joint below the base: a spring of 1 / compliance, a damper of relaxation times"
         " it, and the inertia of what turns on it, of which a share counts for its twist",
         source="James, Haritos & Ades 2006, Am. J. Bot. 93:1522 (the trunk as a spring below the branch)",

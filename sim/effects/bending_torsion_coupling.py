@@ -24,6 +24,7 @@ def bending_torsion_coupling(j: Any, p: Any, r: Any):
 EFFECT = register(
     Effect(
         name="bending_torsion_coupling",
+        plain="twist that comes with bending",
         summary="bending about one axis across the segment and twist share a stiffness kappa K, alike both ways",
         source="Librescu & Song, Thin-Walled Composite Beams (2006), section 4.6 (symmetric coupling)",
         signature="a push in one plane moves the grasp point out of it, by the twist of a bent branch",

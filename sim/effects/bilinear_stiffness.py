@@ -43,6 +43,7 @@ _CORNER = EffectParameter(
 EFFECT = register(
     Effect(
         name="bilinear_stiffness",
+        plain="a spring that is stiffer one way than the other",
         summary="stiffness K (1 + rel) where the joint bends one way about an axis across the segment, K the other way",
         source="Shaw & Holmes 1983, J. Sound Vib. 90:129; corner rounded, in a branch over 0.005 rad",
         signature="pushes to the two sides differ in stiffness; releases swing with unequal half periods",

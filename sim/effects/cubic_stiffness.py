@@ -38,6 +38,7 @@ _CUBIC = EffectParameter("cubic_radm2", "1/rad^2", lambda s: -1.0 / s.angle**2, 
 EFFECT = register(
     Effect(
         name="cubic_stiffness",
+        plain="a spring that gets stiffer or softer the further it bends",
         summary="torque -K (phi + kappa |phi|^2 phi): the spring stiffens (kappa > 0) or softens with the angle; at a"
         " ball joint a share of it may act about each axis of the segment by itself, kappa phi_k^3",
         source="Duffing 1918; Kovacic & Brennan, The Duffing Equation (2011), chapter 2",

@@ -62,6 +62,7 @@ _GRADUAL = EffectParameter("gradual", "1", 0.0, 1.0, tries=1, optional=True)
 EFFECT = register(
     Effect(
         name="dry_friction",
+        plain="dry friction",
         summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first, in"
         " a branch 0.5 mrad at least, and from g = 0 to 1 comes ever more gradually to slip)",
         source="Coulomb 1785; elastic before it slips, and gradual, as in Dahl 1968, Aerospace TOR-158",

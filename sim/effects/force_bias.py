@@ -21,6 +21,7 @@ def _bias(name: str, unit: str) -> EffectParameter:
 EFFECT = register(
     Effect(
         name="force_bias",
+        plain="a constant error of the force sensor",
         summary="the sensor reads b more than the force that acts, in world axes; an open gripper's force is known",
         source="definition; BIPM, International Vocabulary of Metrology (2012), 2.18",
         signature="a constant force is missing while the gripper holds, and none when it is open",

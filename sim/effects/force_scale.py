@@ -20,6 +20,7 @@ _SCALE = (EffectParameter("scale", "1", 0.5, 2.0, 1.0, "log"),)
 EFFECT = register(
     Effect(
         name="force_scale",
+        plain="a wrong scale of the force sensor",
         summary="the sensor reads s times the force that acts",
         source="definition; BIPM, International Vocabulary of Metrology (2012), 2.18",
         signature="all stiffnesses and dampers look s times too large against the mass and weight: swings are off",

@@ -5,6 +5,7 @@ from .registry import Effect, EffectParameter, Law, register
 EFFECT = register(
     Effect(
         name="grasp_slip",
+        plain="a grip that slides",
         summary="beyond a least force, part of which may be a share of the recording's largest one, the grip slides"
         " along the segment, towards its tip at a rate of mobility times the excess (towards the base where negative),"
         " or, as far as it is not viscous, at the rate of 1 N of excess; inside the segment's ends; it holds the marked"

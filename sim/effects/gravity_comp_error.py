@@ -18,6 +18,7 @@ def gravity_comp_error(g: Any, p: Any):
 EFFECT = register(
     Effect(
         name="gravity_comp_error",
+        plain="a weight that the force sensor reads as a force",
         summary="the sensor's reading holds the weight of a mass dm, of which a share k was tared in the rest pose and"
         " turns with the held segment",
         source="Kubus, Kroeger & Wahl 2008, IROS (gravity compensation of wrist force sensors)",

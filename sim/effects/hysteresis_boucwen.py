@@ -67,6 +67,7 @@ _SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True)
 EFFECT = register(
     Effect(
         name="hysteresis_boucwen",
+        plain="hysteresis (it bends and comes back on different ways)",
         summary="a second spring of a K in series with a slider that yields gradually at the angle y, more abruptly the"
         " larger the exponent n; the share l yields on loading, the rest on the way back (beta y^n = 1/2, gamma y^n ="
         " l - 1/2); at a ball joint a share of it may yield about each axis of the segment by itself",

@@ -26,6 +26,7 @@ def partial_rupture(j: Any, p: Any, r: Any):
 EFFECT = register(
     Effect(
         name="partial_rupture",
+        plain="a partial break (it is softer from one moment on)",
         summary="from a moment on the absolute clock on, the spring has lost a share s of its stiffness for good",
         source="Kachanov 1958 (damage as a share of the stiffness); Lemaitre, A Course on Damage Mechanics (1996), 1.2",
         signature="replicates before and after a moment differ; after it everything is softer",

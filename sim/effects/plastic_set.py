@@ -54,6 +54,7 @@ _SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True)
 EFFECT = register(
     Effect(
         name="plastic_set",
+        plain="bending that stays",
         summary="beyond an angle y from where it last came to rest a share s of the turn stays, for good; what has"
         " stayed moves y (kinematic hardening) or, in the share i, widens it (isotropic); at a ball joint a share of it"
         " may act about each axis of the segment by itself",

@@ -38,6 +38,7 @@ def drag_at_joint(j: Any, p: Any, r: Any):
 EFFECT = register(
     Effect(
         name="quadratic_drag",
+        plain="air drag",
         summary="a force -c |v| v per projected area all along every segment; the share m of the motion counts only as"
         " far as it is across the segment, and a share of the force may act along each axis of the segment by itself;"
         " at a measured joint a torque -c |w| w",

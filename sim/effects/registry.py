@@ -66,6 +66,11 @@ class Setting:
 Bound = float | Callable[[Setting], float]
 
 
+def in_setting(bound: Bound, setting: Setting) -> float:
+    """Return an end of a box, a typical value or a reach as a number."""
+    return float(bound(setting) if callable(bound) else bound)
+
+
 @dataclass(frozen=True)
 class EffectParameter:
     """One parameter of an effect.
@@ -124,6 +129,7 @@ class Law:
         per_joint: Whether every joint has its own.
         memory, persistent: See `kernels.effects.terms.Term`.
         settles: Whether a branch is at rest elsewhere than in its given pose while the effect acts.
+        active: Whether it may give energy, as a gust does; every other law takes energy or gives back what it stored.
     """
 
     kind: Kind
@@ -133,6 +139,7 @@ class Law:
     memory: int = 0
     persistent: bool = False
     settles: bool = False
+    active: bool = False
 
 
 @dataclass(frozen=True)
@@ -147,6 +154,7 @@ class Effect:
         mistaken_for: Names of effects that it is easily taken for.
         probe: What tells them apart.
         branch, joint: How it acts in either form of case; None where it does not.
+        plain: What the model lacks in words that need no book, such as ``air drag``; the name where it is empty.
     """
 
     name: str
@@ -157,6 +165,7 @@ class Effect:
     probe: str
     branch: Law | None = None
     joint: Law | None = None
+    plain: str = ""
 
     def law(self, form: Form) -> Law:
         """Return how the effect acts in a form of case.
@@ -172,6 +181,19 @@ class Effect:
 
 
 _ROWS: dict[str, Effect] = {}
+_WAITING: list[Callable[[], None]] = []
+
+
+def when_asked(load: Callable[[], None]) -> None:
+    """Have effects registered by ``load`` before effects are first asked for, or another is registered."""
+    _WAITING.append(load)
+
+
+def _rows() -> dict[str, Effect]:
+    """Return all effects by name, those that waited among them."""
+    while _WAITING:
+        _WAITING.pop(0)()
+    return _ROWS
 
 
 def register(effect: Effect) -> Effect:
@@ -183,7 +205,7 @@ def register(effect: Effect) -> Effect:
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", effect.name):
         raise InputError("effects", effect.name, "the name", "lower-case letters, digits and _")
-    if effect.name in _ROWS:
+    if effect.name in _rows():
         raise InputError("effects", effect.name, "the name a second time", "each effect once")
     laws = [law for law in (effect.branch, effect.joint) if law is not None]
     if not laws:
@@ -200,7 +222,7 @@ def register(effect: Effect) -> Effect:
 
 def effects() -> tuple[Effect, ...]:
     """Return all effects in the order in which they were registered, which is the order in which they act."""
-    return tuple(_ROWS.values())
+    return tuple(_rows().values())
 
 
 def effect_of(name: str, source: str = "effects") -> Effect:
@@ -209,9 +231,10 @@ def effect_of(name: str, source: str = "effects") -> Effect:
     Raises:
         InputError: There is none; ``source`` says where the name was read.
     """
-    if name not in _ROWS:
-        raise InputError(source, "effects", f"'{name}'", f"one of {', '.join(_ROWS)}")
-    return _ROWS[name]
+    rows = _rows()
+    if name not in rows:
+        raise InputError(source, "effects", f"'{name}'", f"one of {', '.join(rows)}")
+    return rows[name]
 
 
 def terms_of(names: tuple[str, ...], form: Form) -> tuple[Term, ...]:

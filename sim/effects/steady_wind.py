@@ -31,6 +31,7 @@ def steady_wind(b: Any, p: Any):
 EFFECT = register(
     Effect(
         name="steady_wind",
+        plain="a steady wind",
         summary="a force q A on every segment of projected area A, q constant; the share m of the air counts only as"
         " far as it flows across the segment; the branch rests displaced by it",
         source="Vogel, Life in Moving Fluids (1994), chapter 5 (drag as dynamic pressure times area); Hoerner,"

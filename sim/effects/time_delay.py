@@ -11,6 +11,7 @@ _LAW = Law(
 EFFECT = register(
     Effect(
         name="time_delay",
+        plain="a delay of the force sensor",
         summary="the force is recorded lag seconds after it acted, linear between samples; at most five samples",
         source="definition; Ljung, System Identification (1999), section 4.2 (dead time)",
         signature="misfit where the force changes fast: at the release and in sweeps",

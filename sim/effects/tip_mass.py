@@ -5,6 +5,7 @@ from .registry import Effect, EffectParameter, Law, register
 EFFECT = register(
     Effect(
         name="tip_mass",
+        plain="a mass at the tip",
         summary="a point mass at the upper end of the last segment, held in the rest pose by the pre-loads",
         source="Featherstone, Rigid Body Dynamics Algorithms (2008), 2.13 (inertia of a point mass)",
         signature="slower swings with the same stiffness in slow pushes",

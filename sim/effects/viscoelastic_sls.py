@@ -13,12 +13,14 @@ from .registry import Effect, EffectParameter, Law, register
 def viscoelastic_sls(j: Any, p: Any, r: Any):
     """tau = -a K z,  dz/dt = w - z / T: a spring a K in series with a damper a K T, beside the joint's spring.
 
-    Backward Euler in z; without a relaxation time (T = 0, where the effect is off) z stays zero.
+    Trapezoidal rule in z, which is known in the middle of steps as the joint's angle is. Without a relaxation time
+    (T = 0, where the effect is off) z stays zero.
     """
     o = real(0.0, p.a)
     one = real(1.0, o)
     T = p.b + where_neg(p.b - real(1.0e-9, o), one, o)
-    z = (r.memory + j.rate * j.step) * (one / (one + j.step / T))
+    half = real(0.5, o) * j.step / T
+    z = (r.memory * (one - half) + j.rate * j.step) * (one / (one + half))
     k = p.a * j.stiffness
     return type(r)(z * (o - k), z, k, o)
 
@@ -36,6 +38,7 @@ _LAW = Law(
 EFFECT = register(
     Effect(
         name="viscoelastic_sls",
+        plain="creep (it goes on giving way while it is held)",
         summary="a spring a K in series with a damper, beside the joint's spring: the joint creeps under a held force",
         source="Zener 1948; Findley, Lai & Onaran, Creep and Relaxation (1976), section 5.4",
         signature="displacement goes on growing in a hold and comes back slowly after the release",

@@ -36,6 +36,7 @@ def _pressure(name: str) -> EffectParameter:
 EFFECT = register(
     Effect(
         name="wind_gust",
+        plain="gusts of wind",
         summary="a horizontal force on every segment that oscillates at one frequency on the absolute clock; of the"
         " share m of the air only what flows across the segment counts",
         source="Davenport 1961, Q. J. R. Meteorol. Soc. 87:194 (one component of the gust spectrum)",
@@ -60,6 +61,7 @@ EFFECT = register(
             ),
             wind_gust,
             per_joint=False,
+            active=True,
         ),
     )
 )

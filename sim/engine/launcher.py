@@ -120,6 +120,6 @@ class Recorded:
 
     def __call__(self, *given: wp.array) -> None:
         """Launch for these arrays, which are kept until others come."""
-        if [a.ptr for a in given] != [a.ptr for a in self._given]:
+        if [(a.ptr, a.shape) for a in given] != [(a.ptr, a.shape) for a in self._given]:
             self._given, self._launches = given, Launches(self._record(*given))
         self._launches()

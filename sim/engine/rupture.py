@@ -33,13 +33,23 @@ class Rupture:
         self._broken = wp.zeros(shape, dtype=int, device=m.device)
         self.strength: torch.Tensor = wp.to_torch(self._strength)
         self.broken: torch.Tensor = wp.to_torch(self._broken)
-        self._model, self._state = m, simulator.state
+        self._model, self._state, self._damping = m, simulator.state, simulator._damping
         fields = {name: m.arrays[name] for name in ("stiffness", "preload")} | {"damping": simulator._damping}
         self._springs = _springs(fields)
         self._whole = _springs({name: m.field("Vec" if name == "preload" else "Real") for name in fields})
         self._where = (simulator._slot_world, simulator._slot_link)
         self._kernels = rupture_kernels(m.width)
         self.note()
+
+    @property
+    def broken_array(self) -> wp.array:
+        """Memory of ``broken``."""
+        return self._broken
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Return views of what the future depends on: which joints are broken, and the springs that they have now."""
+        springs = {name: self._model.arrays[name].torch for name in ("stiffness", "preload")}
+        return {"broken": self.broken, "damping": self._damping.torch, **springs}
 
     def note(self) -> None:
         """Take the present springs, dampers and pre-loads as those of whole joints; needed after they have changed.

@@ -26,6 +26,7 @@ from .launcher import Launcher, Recorded
 from .load import Load
 from .model import Model
 from .state import State
+from .tensors import WorldTensors
 
 
 class Simulator:
@@ -81,6 +82,8 @@ class Simulator:
         self._kernels = step_kernels(model.width, model.precision, model.has_free_trees)
         self._steps: dict[tuple[int, bool], Callable[[], None]] = {}
         self._looking: dict[bool, Callable[[], None]] = {}
+        self._tensors: WorldTensors | None = None
+        self._stale = False
         self._load: Load | None = Load(model) if effects else None
         self._last: LastStates | None = None
         self._index_slots()
@@ -140,13 +143,19 @@ class Simulator:
     def refresh(self) -> None:
         """Find each joint's implicit share anew, at the springs' rest and at the present pose.
 
-        Needed after stiffness, damping, masses or geometry of the model have changed.
+        Needed after stiffness, damping, masses or geometry of the model have changed in its arrays; parameters that
+        were written through `tensors` do this before the next step.
         """
+        self._stale = False
         self._damping.torch.copy_(self.model.arrays["damping"].torch)
         self._limit.torch.fill_(self.max_speed)
         for judge in self._judges:
             judge()
         self._note_rest()
+
+    def _parameters_changed(self) -> None:
+        """Have `refresh` run before the next step."""
+        self._stale = True
 
     def _prepare_judges(self) -> list[Callable[[], None]]:
         """Return launches that judge stability at the springs' rest and at the present pose."""
@@ -183,6 +192,8 @@ class Simulator:
 
     def step(self, count: int = 1) -> None:
         """Advance all worlds by ``count`` steps of ``dt``; inside a graph capture, in one launch that it records."""
+        if self._stale:
+            self.refresh()
         if self._last is not None:
             self._last.note()
         key = (count, not self.model.device.is_capturing)
@@ -202,7 +213,24 @@ class Simulator:
         return self._launcher.prepare(self.effects.step_kernel(), before, after, split=split)
 
     def capture(self, count: int = 1) -> Callable[[], None]:
-        """Return a function that replays ``count`` steps and an observation as one graph (CPU and GPU)."""
+        """Return a function that replays ``count`` steps and an observation as one graph (CPU and GPU).
+
+        It is recorded anew where a load has come to be since.
+        """
+        graph, load = self._graph(count), self._load
+
+        def replay() -> None:  # keeps this simulator, on whose memory the graph works
+            nonlocal graph, load
+            if self._stale:
+                self.refresh()
+            if load is not self._load:
+                graph, load = self._graph(count), self._load
+            wp.capture_launch(graph)
+
+        return replay
+
+    def _graph(self, count: int) -> Any:
+        """Return the graph of ``count`` steps and an observation."""
         step = self._prepare_step(count, split=False)
         look = self._prepare_look(split=False)
         with wp.ScopedCapture(device=self.model.device) as scope:
@@ -210,11 +238,14 @@ class Simulator:
                 self._last.note()
             step()
             look()
+        return scope.graph
 
-        def replay(_owner: Simulator = self) -> None:  # the graph works on this simulator's memory
-            wp.capture_launch(scope.graph)
-
-        return replay
+    @property
+    def tensors(self) -> WorldTensors:
+        """Coordinates, velocities, forces and parameters of all worlds as tensors, [worlds, ...], to get and set."""
+        if self._tensors is None:
+            self._tensors = WorldTensors(self.model, self.state, lambda: self.load, self._parameters_changed)
+        return self._tensors
 
     @property
     def load(self) -> Load:

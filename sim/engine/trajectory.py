@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,9 @@ from ..base.console import bar, warn
 from ..base.types import Array, IntArray
 from ..trees.tree import Tree
 from .simulator import Simulator
+
+CAPSULES = ("capsule_body", "capsule_start", "capsule_end", "capsule_radius", "capsule_level")
+"""Names of the arrays of a file that say what its bodies look like."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +37,24 @@ class Trajectory:
     body_quat: NDArray[Any]
     frozen_time: Array
 
-    def save(self, path: str | Path, **further: Array) -> None:
-        """Write all arrays, and further ones by name, as ``.npz``."""
-        fields: dict[str, Any] = {**vars(self), "body_name": np.array(self.body_name), **further}
+    def save(self, path: str | Path, tree: Tree, **further: Array) -> None:
+        """Write all arrays, what the bodies of their tree look like, and further ones by name, as ``.npz``."""
+        looks = capsules_of(tree, self.body_name)
+        fields: dict[str, Any] = {**vars(self), "body_name": np.array(self.body_name), **looks, **further}
         np.savez(path, **fields)
+
+
+def capsules_of(tree: Tree, body_name: Sequence[str]) -> dict[str, Any]:
+    """Return the S capsules of a tree's bodies as a file holds them, by `CAPSULES`.
+
+    That is: number of the body, ends of the axis in the body's frame [m] (twice [S, 3]), radius at both [m] ([S, 2]),
+    branching order.
+    """
+    number = {name: i for i, name in enumerate(body_name)}
+    body = np.array([number.get(tree.link_name[link], -1) for link in tree.shape_link], dtype=np.int64)
+    kept = body >= 0
+    parts = (body, tree.shape_start, tree.shape_end, tree.shape_radius, tree.level[tree.shape_link])
+    return {name: part[kept] for name, part in zip(CAPSULES, parts, strict=True)}
 
 
 def own_bodies(tree: Tree) -> IntArray:

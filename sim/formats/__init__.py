@@ -1,4 +1,4 @@
 """Files in and out: MJCF, URDF, meshes.
 
-Uses: `sim.base`, `sim.trees`, `sim.newton`.
+Uses: `sim.base`, `sim.trees`, `sim.engine`, `sim.newton`.
 """

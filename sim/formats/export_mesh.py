@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 
 from ..base.errors import InputError
+from ..base.extras import install_hint
 from ..base.rotation import quat_rotate
 from ..base.types import Array, IntArray
 from ..trees.pose import rest_pose
@@ -135,7 +136,7 @@ def to_usd(trees: Sequence[Tree], path: str | Path, *, poses: Sequence[Pose] | N
     try:
         from pxr import Gf, Usd, UsdGeom, Vt
     except ImportError:
-        found, allowed = "no package usd-core (module pxr)", "an installation with the extra: pip install 'bough[usd]'"
+        found, allowed = "no package usd-core (module pxr)", install_hint("usd")
         raise InputError(path, "", found, allowed) from None
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)

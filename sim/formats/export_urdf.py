@@ -24,13 +24,14 @@ from ..base.types import Array
 from ..trees.tree import Joint, Tree
 from .export_mesh import level_color
 from .export_mjcf import numbers
+from .import_urdf import NO_LIMIT
 
 ROOT = "world"
 """Name of the massless URDF link that the tree's roots hang on."""
 
 _KIND = {Joint.FIXED: "fixed", Joint.REVOLUTE: "continuous", Joint.PRISMATIC: "prismatic"}
 _LIGHT = 1e-9  # mass and inertia of the links inside a spherical joint, as a share of the link that it carries
-_FAR = {"lower": "-1000", "upper": "1000", "effort": "1e9", "velocity": "1e9"}  # URDF demands limits of a slide
+_FAR = {"lower": f"{-NO_LIMIT:g}", "upper": f"{NO_LIMIT:g}", "effort": "1e9", "velocity": "1e9"}
 
 
 def to_urdf(tree: Tree) -> str:

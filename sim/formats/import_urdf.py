@@ -10,8 +10,10 @@ spherical joint of the three revolute joints that start there.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Collection, Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from ..trees.inertia import MassProperties
 from ..trees.pose import zero_qpos
 from ..trees.tree import Joint, Tree
 from .import_mjcf import Mechanism
+from .omissions import Omissions, touching
 from .xml_tree import Element, read_xml
 
 _KINDS = {
@@ -29,20 +32,31 @@ _KINDS = {
     "revolute": Joint.REVOLUTE,
     "continuous": Joint.REVOLUTE,
     "prismatic": Joint.PRISMATIC,
+    "floating": Joint.SPHERICAL,
+    "planar": Joint.REVOLUTE,
 }
+#: Joints that become several, and the number of slides before the last.
+_SLIDES = {"floating": 3, "planar": 2}
+#: A limit this far from zero is none: URDF demands limits of a slide [rad or m].
+NO_LIMIT = 1000.0
 _INERTIA = ("ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz")
 
 
-def load_urdf(path: str | Path) -> Mechanism:
-    """Read a URDF file with fixed, revolute, continuous and prismatic joints.
+def load_urdf(path: str | Path, ignore: Sequence[str] = ()) -> Mechanism:
+    """Read a URDF file with fixed, revolute, continuous, prismatic, floating and planar joints.
 
-    The root link is fixed to the world; a root called ``world`` is the world. Gravity is 9.81 m/s^2 along -z.
+    The root link is fixed to the world; a root called ``world`` is the world. A floating joint becomes three slides
+    along the axes of its frame and a ball joint, a planar one two slides and a hinge. Gravity is 9.81 m/s^2 along -z.
+
+    Args:
+        path: The file.
+        ignore: Words of `bough.sim.formats.omissions` for what may be left out of the tree, or "all".
 
     Raises:
-        InputError: The file cannot be read or is no valid URDF, or holds floating, planar or mimic joints, a closed
-            loop, a link that does not exist, a negative mass or damping.
+        InputError: The file cannot be read or is no valid URDF, or holds a closed loop, a link that does not exist, a
+            negative mass or damping; limits or mimic joints unless ignored.
     """
-    root = read_xml(path)
+    root, omissions = read_xml(path), Omissions(ignore)
     if root.tag != "robot":
         raise root.error(f"<{root.tag}> as the root", "<robot>")
     links = _links(root)
@@ -50,19 +64,74 @@ def load_urdf(path: str | Path) -> Mechanism:
     values = {name: _link_values(link) for name, link in links.items()}
     for name, joint in joints.items():
         values[name] |= _joint_values(joint)
+        _note_omissions(joint, omissions)
+    _note_contacts(links, joints, omissions)
+    ignored = omissions.settle()
     tree = _through_newton(Path(path), root.attrib.get("name", Path(path).stem))
     for i, name in enumerate(tree.link_name):
         for key, value in values[name].items():
             getattr(tree, key)[i] = value
     tree = _with_cylinders(tree, links)
     tree = _merge_spherical(tree, joints)
+    tree = _with_slides(tree, joints, omissions.ignore)
     tree = _without_world(tree)
     if tree.num_links == 0:
         raise root.error("no link besides the world", "at least one <link>")
-    gravity = np.array([0.0, 0.0, -9.81])
     named = [joints.get(name) for name in tree.link_name]
-    names, places = [j.text("name") if j else "" for j in named], [j.place if j else "" for j in named]
-    return Mechanism(tree.validate(str(path)), gravity, zero_qpos(tree), _ignored(joints), names, places)
+    return Mechanism(
+        tree=tree.validate(str(path)),
+        gravity=np.array([0.0, 0.0, -9.81]),
+        qpos0=zero_qpos(tree),
+        ignored=ignored,
+        joint_name=[j.text("name") if j else "" for j in named],
+        joint_place=[j.place if j else "" for j in named],
+        friction=np.array([_friction(j) if j and "friction" not in omissions.ignore else 0.0 for j in named]),
+    )
+
+
+def _note_omissions(joint: Element, omissions: Omissions) -> None:
+    """Note a joint's end stops, the joint that it copies, and friction where it is not that of one axis."""
+    kind, limit, place = joint.attrib["type"], joint.find("limit"), (joint.file, joint.place)
+    if kind in _SLIDES and "free" in omissions.ignore:
+        omissions.noted("free joints")
+        return
+    if limit is not None and kind in ("revolute", "prismatic"):
+        ends = limit.number("lower", 0.0), limit.number("upper", 0.0)
+        if not (ends[0] <= -NO_LIMIT and ends[1] >= NO_LIMIT):
+            omissions.found("limits", place, f"a joint limit, {ends[0]:g} to {ends[1]:g}", "joint limits")
+    if joint.find("mimic") is not None:
+        omissions.found("mimic", place, "a <mimic> (a joint that copies another)", "mimic joints")
+    if _friction(joint) > 0:
+        extension = joint.find("bough")
+        if kind in _SLIDES or (extension is not None and extension.attrib.get("joint") == "spherical"):
+            omissions.found("friction", place, "friction of several axes", "joint friction")
+        elif "friction" in omissions.ignore:
+            omissions.noted("joint friction")
+
+
+def _friction(joint: Element) -> float:
+    """Dry friction of a joint [N m or N]; none of a fixed joint."""
+    dynamics = joint.find("dynamics")
+    return 0.0 if dynamics is None or joint.attrib["type"] == "fixed" else dynamics.positive("friction", 0.0)
+
+
+def _note_contacts(links: dict[str, Element], joints: dict[str, Element], omissions: Omissions) -> None:
+    """Say which links could touch; URDF does not say whether a robot's own links do, so that they may pass."""
+    order: list[str] = []
+    todo = [name for name in links if name not in joints]
+    below: dict[str, list[str]] = {name: [] for name in links}
+    for child, joint in joints.items():
+        below[joint.require("parent").text("link")].append(child)
+    while todo:
+        order.append(todo.pop())
+        todo += below[order[-1]]
+    number = {name: i + 1 for i, name in enumerate(order)}
+    parent = [0, *(number[joints[n].require("parent").text("link")] if n in joints else 0 for n in order)]
+    moves = [False, *(n in joints and joints[n].attrib["type"] != "fixed" for n in order)]
+    masks = np.array([[0, 0], *([int(links[n].find("collision") is not None)] * 2 for n in order)], np.int64)
+    pairs = touching(parent, moves, masks, set())
+    if pairs:
+        omissions.noted("contacts between pairs of links", len(pairs))
 
 
 def _links(root: Element) -> dict[str, Element]:
@@ -104,9 +173,6 @@ def _check_joint(joint: Element, links: dict[str, Element]) -> None:
         name = joint.require(end).text("link")
         if name not in links:
             raise joint.error(f"{end} link '{name}', which does not exist", "one of the file's links")
-    mimic = joint.find("mimic")
-    if mimic is not None:
-        raise joint.error("an unsupported <mimic>", "joints that move on their own")
 
 
 def _check_reaches_root(name: str, joints: dict[str, Element]) -> None:
@@ -124,7 +190,23 @@ def _through_newton(path: Path, name: str) -> Tree:
 
     from ..newton.bridge import from_newton  # Newton is slow to import, and checks of the file come first
 
-    builder = newton.ModelBuilder()
+    class Builder(newton.ModelBuilder):
+        """A builder that fixes what floats, which `_with_slides` lets float again, and lets no joint copy another."""
+
+        def add_joint_free(self, *args: Any, **given: Any) -> int:
+            return self._fixed(**given)
+
+        def add_joint_d6(self, *args: Any, **given: Any) -> int:
+            return self._fixed(**given)
+
+        def set_joint_mimic(self, *args: Any, **given: Any) -> None:
+            """Let the joint move on its own."""
+
+        def _fixed(self, **given: Any) -> int:
+            known = ("parent", "child", "parent_xform", "child_xform", "label")
+            return int(self.add_joint_fixed(**{key: given[key] for key in known if key in given}))
+
+    builder = Builder()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # meshes that are only drawn may be missing
@@ -171,6 +253,8 @@ def _joint_values(joint: Element) -> dict[str, object]:
     dynamics, extension = joint.find("dynamics"), joint.find("bough")
     out["axis"] = vector / np.linalg.norm(vector)
     out["damping"] = 0.0 if dynamics is None else dynamics.positive("damping", 0.0)
+    if joint.attrib["type"] in _SLIDES and out["damping"]:
+        raise joint.error(f"damping of a {joint.attrib['type']} joint", "0, or joints of one axis each")
     return out if extension is None else out | _extension_values(extension)
 
 
@@ -229,6 +313,46 @@ def _merge_spherical(tree: Tree, joints: dict[str, Element]) -> Tree:
     return _drop(tree, dropped)
 
 
+def _with_slides(tree: Tree, joints: dict[str, Element], ignore: Collection[str]) -> Tree:
+    """Put slides before the links of floating and planar joints, which are fixed so far."""
+    for i in range(tree.num_links - 1, -1, -1):
+        joint = joints.get(tree.link_name[i])
+        count = 0 if joint is None or "free" in ignore else _SLIDES.get(joint.attrib["type"], 0)
+        if joint is not None and count:
+            tree = _with_slides_at(tree, i, count, _KINDS[joint.attrib["type"]])
+    return tree
+
+
+def _with_slides_at(tree: Tree, i: int, count: int, last: Joint) -> Tree:
+    """Put ``count`` slides before link ``i``: along its frame's axes, or across its joint's axis where that turns."""
+    axis = tree.axis[i].copy()
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across /= np.linalg.norm(across)
+    axes = np.eye(3) if last == Joint.SPHERICAL else np.array([across, np.cross(axis, across)])
+    changes: dict[str, Any] = {}
+    for item in fields(tree):
+        value = getattr(tree, item.name)
+        if isinstance(value, np.ndarray) and not item.name.startswith("shape_"):
+            changes[item.name] = np.insert(value, [i] * count, 0, axis=0)
+    new, link = slice(i, i + count), i + count
+    numbers = np.where(np.arange(tree.num_links + 1) >= i, count, 0) + np.arange(tree.num_links + 1)
+    numbers[-1] = -1  # stands for the world
+    changes["parent"] = np.insert(numbers[tree.parent], [i] * count, 0)
+    changes["shape_link"] = numbers[tree.shape_link]
+    changes["parent"][new] = [numbers[tree.parent[i]], *range(i, link - 1)]
+    changes["parent"][link] = link - 1
+    changes["joint"][new], changes["joint"][link] = int(Joint.PRISMATIC), int(last)
+    changes["axis"][new] = axes[:count]
+    for key, neutral in (("position", np.zeros(3)), ("rotation", np.array([1.0, 0.0, 0.0, 0.0]))):
+        changes[key][i], changes[key][i + 1 : link + 1] = getattr(tree, key)[i], neutral
+    changes["level"][new] = tree.level[i]
+    if last == Joint.SPHERICAL:
+        changes["axis"][link], changes["rest"][link] = [0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0]
+    name = tree.link_name[i]
+    names = [*tree.link_name[:i], *(f"{name}:{'xyz'[k]}" for k in range(count)), *tree.link_name[i:]]
+    return tree.with_(**changes, link_name=names)
+
+
 def _without_world(tree: Tree) -> Tree:
     roots = [i for i in range(tree.num_links) if tree.parent[i] < 0 and tree.link_name[i] == "world"]
     return _drop(tree, roots)
@@ -248,10 +372,3 @@ def _drop(tree: Tree, links: list[int]) -> Tree:
     changes["parent"] = number[tree.parent[keep]]
     changes["shape_link"] = number[tree.shape_link[shapes]]
     return tree.with_(**changes, link_name=[tree.link_name[i] for i in keep])
-
-
-def _ignored(joints: dict[str, Element]) -> list[str]:
-    limited = [j for j in joints.values() if j.attrib["type"] == "revolute" and j.find("limit") is not None]
-    rubbing = [j for j in joints.values() for d in j.find_all("dynamics") if d.positive("friction", 0.0) > 0]
-    counts = {"joint limits": len(limited), "joint friction": len(rubbing)}
-    return [f"{name} ({count})" for name, count in counts.items() if count]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,11 +11,14 @@ from ..base.errors import InputError
 if TYPE_CHECKING:
     from .import_mjcf import Mechanism
 
-ALLOWED = "an MJCF file (.xml, .mjcf) or a URDF file (.urdf)"
+ALLOWED = "an MJCF file (.xml, .mjcf), a URDF file (.urdf) or a compiled MuJoCo model (.mjb)"
 
 
-def load_mechanism(source: str | Path, allowed: str = ALLOWED) -> Mechanism:
-    """Read an MJCF or URDF file, told apart by its suffix.
+def load_mechanism(source: str | Path, allowed: str = ALLOWED, *, ignore: Sequence[str] = ()) -> Mechanism:
+    """Read an MJCF file, a URDF file or a compiled MuJoCo model, told apart by its suffix.
+
+    ``ignore`` names what may be left out of what a `Tree` does not have, by words of `bough.sim.formats.omissions`
+    ("limits", "contacts", "actuators" ... or "all"); `Mechanism.ignored` lists what was.
 
     Raises:
         InputError: No such file, another suffix (``allowed`` says which there are), or what `load_mjcf` and `load_urdf`
@@ -27,9 +31,13 @@ def load_mechanism(source: str | Path, allowed: str = ALLOWED) -> Mechanism:
     if suffix == ".urdf":
         from .import_urdf import load_urdf
 
-        return load_urdf(source)
+        return load_urdf(source, ignore)
+    if suffix == ".mjb":
+        from .import_mujoco import load_mjb
+
+        return load_mjb(source, ignore)
     if suffix not in (".xml", ".mjcf"):
         raise InputError(source, "", f"a file that ends in '{suffix}'", allowed)
     from .import_mjcf import load_mjcf
 
-    return load_mjcf(source)
+    return load_mjcf(source, ignore)

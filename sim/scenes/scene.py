@@ -214,17 +214,17 @@ def grow_trees(
         noise=settings.noise, seed=int(grown), scale=settings.scale, fixed_base=True,
     )  # fmt: skip
     rng = np.random.default_rng(int(springs))
-    return [_finished(_culled(tree, settings, float(shoulder[2]), reach), settings, rng) for tree in forest]
+    return [_finished(cull_to_reach(tree, settings, float(shoulder[2]), reach), settings, rng) for tree in forest]
 
 
 def _finished(tree: Tree, settings: SceneSettings, rng: np.random.Generator) -> Tree:
     if settings.wood:
-        return hold_rest_pose(_of_wood(tree, settings))
+        return hold_rest_pose(of_wood(tree, settings))
     spring = {"upper": settings.upper, "lower": settings.lower, "decay": settings.decay}
     return hold_rest_pose(rudimentary(tree, rng=rng, **spring))
 
 
-def _of_wood(tree: Tree, settings: SceneSettings) -> Tree:
+def of_wood(tree: Tree, settings: SceneSettings) -> Tree:
     """Return the tree with the springs and dampers of the settings' wood, none of which its weight may topple."""
     out = SpringPosterior.from_wood(settings.wood).apply(tree, 0)
     turns = out.joint != Joint.FIXED
@@ -234,13 +234,13 @@ def _of_wood(tree: Tree, settings: SceneSettings) -> Tree:
     return out
 
 
-def _culled(tree: Tree, settings: SceneSettings, shoulder: float, reach: float) -> Tree:
+def cull_to_reach(tree: Tree, settings: SceneSettings, shoulder: float, reach: float) -> Tree:
     """Keep what an arm reaches from some place of the tree, however its trunk is turned; the mass of the rest stays.
 
     A point at height z and radius r from the trunk's axis is hypot(r - d, z - h) away from a shoulder at height h that
     looks from its side of the tree, d from the trunk (as `sim.trees.cull` for one place).
     """
-    start, end, radius = _rest_capsules(tree)
+    start, end, radius = rest_capsules(tree)
     share = np.linspace(0.0, 1.0, _ALONG)[:, None, None]
     points = start + share * (end - start)
     span, rise = np.hypot(points[..., 0], points[..., 1]), points[..., 2] - fork_height(tree) - shoulder
@@ -416,7 +416,7 @@ def _scene_arrays(
 ) -> Any:  # fmt: skip
     """Return the kernels' constant arrays: branches in their trees' frames, the arm at home."""
     yields, firm = [side_compliance(tree) for tree in distinct], settings.firm
-    rows = [(*_rest_capsules(tree), c < _PUSH / firm) for tree, c in zip(distinct, yields, strict=True)]
+    rows = [(*rest_capsules(tree), c < _PUSH / firm) for tree, c in zip(distinct, yields, strict=True)]
     most = max(len(row[0]) for row in rows)
     out = kernels.SceneArrays()
     for k, name in enumerate(("start", "end")):
@@ -441,7 +441,7 @@ def _scene_arrays(
     return out
 
 
-def _rest_capsules(tree: Tree) -> tuple[Array, Array, Array]:
+def rest_capsules(tree: Tree) -> tuple[Array, Array, Array]:
     """Axes and greatest radii of a tree's capsules, joints at zero."""
     start, end = shape_ends(tree)
     return start, end, tree.shape_radius.max(axis=1)
@@ -472,7 +472,7 @@ def home_capsules(arm: Arm) -> tuple[Array, Array, Array]:
     return start, end, np.concatenate([arm.base_radius, arm.tree.shape_radius.max(axis=1)])
 
 
-def _facing(arm: Arm) -> float:
+def facing(arm: Arm) -> float:
     """Direction in which the arm's hand is at home, seen from above [rad]; 0 if it is over the base."""
     end = forward_kinematics(arm, arm.home)[2][0]
     return float(np.arctan2(end[1], end[0])) if np.hypot(end[0], end[1]) > 0.05 else 0.0
@@ -482,8 +482,8 @@ def _scene_rules(settings: SceneSettings, arm: Arm) -> Any:
     out = kernels.SceneRules()
     for name in ("distance", "height", "depth", "reach", "pairs", "stiffness", "damping", "friction"):
         setattr(out, name, wp.vec2(*getattr(settings, name)))
-    facing, half = _facing(arm), np.radians(settings.bearing)
-    out.bearing = wp.vec2(facing - half, facing + half)
+    middle, half = facing(arm), np.radians(settings.bearing)
+    out.bearing = wp.vec2(middle - half, middle + half)
     out.tilt, out.side = float(np.radians(settings.tilt)), float(np.radians(settings.side))
     for name in ("shift", "near", "gap", "target_gap"):
         setattr(out, name, float(getattr(settings, name)))

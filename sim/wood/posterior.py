@@ -11,6 +11,7 @@ posterior of one particle.
 
 from __future__ import annotations
 
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Sequence
@@ -87,6 +88,8 @@ class SpringPosterior:
     def from_branch(cls, file: BranchFile, path: str | Path) -> SpringPosterior:
         """Return what `from_model` returns, of a file that has been read from ``path``.
 
+        Springs fitted beside effects that the diagnosis does not claim are a guess too: a Python warning says so.
+
         Raises:
             InputError: It does not give the segments' sizes, or has a joint without a damper.
         """
@@ -96,6 +99,8 @@ class SpringPosterior:
         stiffness = np.array([[s.stiffness_Nmprad for s in file.segments]])
         damping = np.array([[s.damping_Nmsprad for s in file.segments]])
         names = [s.name for s in file.segments]
+        if not file.claimed:
+            warnings.warn(f"{path}: springs beside effects that the diagnosis does not claim", stacklevel=2)
         _check_numbers(Path(path), "segments", damping, lambda i: f"{names[i[1]]} damping_Nmsprad")
         length, *radius = np.array(file.sizes).T
         return cls.from_springs(length, np.mean(radius, axis=0), stiffness, damping, [e.label for e in file.effects])

@@ -77,7 +77,7 @@ def test_folders_that_are_no_case(bough, tmp_path, command):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (mjcf('type="free"'), ("line 1", "free joint")),
+        (mjcf('range="-9 9"'), ("line 1", "a joint limit", "--ignore limits")),
         (mjcf(more='<body name="b"/>', after=CLOSED), ("closed loop",)),
         (mjcf(geom='mass="-1"'), ("mass", "-1")),
         (mjcf('type="screw"'), ("screw",)),

@@ -1,9 +1,28 @@
 """What all commands share: help, version, unknown options, a quick start, and ``bough info``."""
 
+import json
 import subprocess
 import sys
+from pathlib import Path
+from typing import get_args, get_type_hints
 
 import bough as package
+import pytest
+from bough.cli.main import Command
+
+
+def _leaves(commands):
+    """Return the classes that do the work: a command whose only field is a choice of commands holds others."""
+    leaves = []
+    for command in (get_args(c)[0] for c in get_args(commands)):
+        fields = list(get_type_hints(command, include_extras=True).values())
+        leaves += _leaves(fields[0]) if len(fields) == 1 and len(get_args(fields[0])) > 1 else [command]
+    return leaves
+
+
+WORKING = _leaves(Command)
+#: Commands that run until they are stopped have no result.
+SERVING = ("View", "Serve")
 
 
 def test_help_names_every_command(bough):
@@ -29,9 +48,9 @@ def test_unknown_options_are_refused(bough, tmp_path):
 
 
 def test_the_start_is_quick():
-    """Import nothing heavy before a command runs."""
-    heavy = ("warp", "torch", "newton", "numpy", "mujoco", "matplotlib", "trimesh")
-    code = f"import sys, bough.cli; print([m for m in {heavy} if m in sys.modules])"
+    """Import nothing heavy before a command runs, so that help and what is refused at once come at once."""
+    heavy = ("warp", "torch", "newton", "mujoco", "matplotlib", "trimesh", "scipy", "pandas", "rsl_rl")
+    code = f"import sys, bough.cli.main; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
@@ -46,3 +65,45 @@ def test_info_tells_what_there_is(bough):
     assert facts["lanes"].split()[0] in ("8", "16")
     assert "mujoco" in facts["packages"] and "taichi" in facts["extras"]
     assert facts["self-check"].startswith("passed")
+
+
+@pytest.mark.parametrize("command", WORKING, ids=lambda c: f"{c.__module__.split('.')[-1]}.{c.__name__}")
+def test_every_help_tells_exit_codes_and_most_take_json(command):
+    """Tell in the help what a program wants to know; what is served until Ctrl-C has no result."""
+    told = command.__doc__.split("Attributes:")[0]
+    assert "Exit code 0: " in " ".join(told.split())
+    assert ("json" in command.__dataclass_fields__) == (command.__name__ not in SERVING)
+
+
+def test_results_as_json(bough, inside):
+    """Print nothing but the result, as JSON, on stdout; that of files is what the files hold."""
+
+    def printed(*arguments, run=inside):
+        done = run(*arguments, "--json")
+        assert done.code == 0, done.err
+        return json.loads(done.out)
+
+    facts = printed("info", run=bough)
+    assert facts["bough"].startswith(package.__version__) and facts["self-check"].startswith("passed")
+    assert isinstance(facts["parts"], list)
+    forest = printed("forest", "--count", 2, "--order", 1, "--picture-width", 0, "--out", "forest")
+    assert forest == json.loads(Path("forest/forest.json").read_text()) and "json" not in forest["options"]
+    moved = printed("simulate", "forest/tree_0000.xml", "--seconds", 0.05, "--worlds", 2, "--out", "moved")
+    assert (moved["worlds"], moved["frozen"], moved["steps"], moved["out"]) == (2, 0, 12, "moved")
+    answer = printed("hide", "--segments", 1, "--samples", 40, "--out", "case")
+    assert answer == json.loads(Path("case_answer.json").read_text())
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_shells_complete_commands(bough, shell):
+    """Print a completion script that knows commands and options; bash runs it and completes."""
+    done = bough("--tyro-print-completion", shell)
+    assert done.code == 0 and all(word in done.out for word in ("simulate", "check-law", "--substeps"))
+    if shell == "bash":
+        Path("bough.bash").write_text(done.out)
+        ask = (
+            "source ./bough.bash; complete -p bough; COMP_WORDS=(bough simu); COMP_CWORD=1; COMP_LINE='bough simu';"
+            "COMP_POINT=10; $(complete -p bough | sed 's/.*-F \\([^ ]*\\).*/\\1/'); echo ${COMPREPLY[@]}"
+        )
+        found = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=False)
+        assert found.stdout.split()[-1] == "simulate", found.stderr

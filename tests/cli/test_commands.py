@@ -55,7 +55,7 @@ def test_bodies_are_those_of_mujoco(tmp_path, seed):
     """Keep one link a body of MuJoCo's, in its order, however many joints the bodies have."""
     text = RandomMjcf(seed, 8).text
     (tmp_path / "tree.xml").write_text(text)
-    tree = load_mjcf(tmp_path / "tree.xml").tree
+    tree = load_mjcf(tmp_path / "tree.xml", ("all",)).tree
     model = mujoco.MjModel.from_xml_string(text)
     bodies = own_bodies(tree)
     assert len(bodies) == model.nbody - 1
@@ -78,7 +78,7 @@ def test_height_of_a_tree_without_noise():
 def test_bent_starts_turn_by_the_angle_asked_for(tmp_path):
     """Turn every joint by a normal angle of the given deviation: over 17 x 400 joints within 5 %."""
     (tmp_path / "tree.xml").write_text(to_mjcf(grow("Ta", 2)))
-    mechanism = load_mjcf(tmp_path / "tree.xml")
+    mechanism = load_mjcf(tmp_path / "tree.xml", ("all",))
     options = Simulate(source=tmp_path / "tree.xml", out=tmp_path, bend=0.3, worlds=400, seed=2)
     rows = start_rows(options, mechanism).reshape(400, 17, 4)
     np.testing.assert_allclose(np.linalg.norm(rows, axis=-1), 1.0, atol=1e-12)

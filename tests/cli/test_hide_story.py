@@ -35,7 +35,7 @@ def test_what_cannot_be_hidden_is_refused(bough, options):
 def test_hard_exam_is_held(bough):
     """Hold one case of a hard exam. It hides nothing: the held-back exam takes it over, and opens nothing."""
     for option in ("--hard", "--held-back"):
-        done = bough("exam", option, "--cases", 1, "--seed", 57, "--jobs", 1, "--out", "out")
+        done = bough("exam", option, "--cases", 1, "--seed", 49, "--jobs", 1, "--out", "out")
         assert done.code == 0 and "false alarm on null" in done.out, done.err
         assert ("opens the forms that are held back" in done.err) == (option == "--held-back")
         (line,) = Path("out/results.jsonl").read_text().splitlines()

@@ -100,6 +100,14 @@ def test_a_forest_of_the_model(bough, here):
     assert listed["options"]["model"] == "model.yaml" and listed["options"]["stiffness"] is None
 
 
+def test_a_forest_of_a_model_that_is_not_claimed(bough, here):
+    """Say in one line that the springs stand beside effects that the diagnosis does not claim."""
+    rewrite(lambda content: content.update(claimed=False))
+    done = bough("forest", "--model", "model.yaml", "--count", 1, "--picture-width", 0, "--out", "out")
+    first = "bough: warning: model.yaml: springs beside effects that the diagnosis does not claim\n"
+    assert done.code == 0 and done.err == f"{first}bough: warning: model.yaml: {WARNING}"
+
+
 def test_a_forest_of_a_diagnosis_posterior(bough, here):
     """Take springs and dampers from a posterior with columns of effects, and name what is left out."""
     stick = yaml.safe_load(Path("model.yaml").read_text())["segments"][0]

@@ -1,5 +1,6 @@
 """``bough simulate`` from the outside, against C MuJoCo."""
 
+import json
 import os
 import signal
 import subprocess
@@ -52,10 +53,13 @@ def test_a_strange_mjcf_moves_as_in_mujoco(bough, tmp_path, seed):
     model, rng = mujoco.MjModel.from_xml_string(text), np.random.default_rng(seed)
     rows = np.stack([bent(model, rng) for _ in range(2)])
     np.savetxt("start.txt", rows, fmt="%.17g")
-    done = bough("simulate", "tree.xml", "--seconds", 0.5, "--dt", 0.0041667, "--qpos", "start.txt", "--out", "out")
+    options = ("--seconds", 0.5, "--dt", 0.0041667, "--qpos", "start.txt", "--ignore", "contacts")
+    done = bough("simulate", "tree.xml", *options, "--json", "--out", "out")
     assert done.code == 0, done.err
-    assert all(line.startswith("bough: warning: tree.xml: left out: contacts") for line in done.err.splitlines())
-    found = np.load("out/trajectory.npz")
+    found, left = np.load("out/trajectory.npz"), json.loads(done.out)["left_out"]
+    assert left == (found["left_out"].tolist() if "left_out" in found else [])
+    assert done.err.splitlines() == [f"bough: warning: tree.xml: left out: {line}" for line in left]
+    assert all(line.startswith("pairs that could touch") for line in left)
     steps = round(0.5 / 0.0041667)
     np.testing.assert_allclose(found["time"], 0.0041667 * np.arange(steps + 1), rtol=1e-12)
     assert found["body_pos"].shape == (steps + 1, 2, model.nbody - 1, 3)

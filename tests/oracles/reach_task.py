@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from bough.learn.tasks.registry import TaskRegistry
+from bough.learn.tasks.measures import CLEARING_COLUMNS
+from bough.learn.tasks.registry import TaskKind, TaskRegistry
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
@@ -39,6 +40,7 @@ class Reach(VecEnv):
 
     name = "reach"
     step_seconds = 0.05
+    metrics = ("return", "success", "occlusion_drop", "breach", "steps_clear")
 
     def __init__(self, settings: ReachSettings, *, num_envs: int, seed: int, device: str, test: bool, version: int = 1):
         self.cfg, self.num_envs, self.num_actions, self.device = settings, num_envs, 2, device
@@ -116,7 +118,8 @@ def registry(version: int = 1) -> TaskRegistry:
         assert name == "reach"
         return Reach(settings, **arguments, version=version)
 
-    return TaskRegistry(("reach",), ("place", "time"), {"cpu": ReachSettings(), "gpu": ReachSettings()}, make)
+    presets = {"cpu": ReachSettings(), "gpu": ReachSettings()}
+    return TaskRegistry((TaskKind(("reach",), ("place", "time"), presets, make, CLEARING_COLUMNS),))
 
 
 def best_return(start: np.ndarray) -> np.ndarray:

@@ -16,17 +16,17 @@ import tyro
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bough.cli.train import Train
-from bough.learn.policies.ppo_settings import PRESETS
+from bough.learn.tasks.ppo_settings import PRESETS
 from oracles.reach_task import registry
 
 TINY = replace(PRESETS["cpu"], num_envs=8, horizon=8, hidden=(16,), checkpoint_every=2)
 
 
-def short_run(out: Path) -> Path:
+def short_run(out: Path, seed: int = 0) -> Path:
     """Train for two iterations into a folder and return it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(PRESETS, "cpu", TINY)
-        assert Train("reach", out, iterations=2).run(registry()) == 0
+        assert Train("reach", out, iterations=2, seed=seed).run(registry()) == 0
     return out
 
 

@@ -1,4 +1,6 @@
-"""Noise of a joint's channels at rest, before any input acts: low-frequency noise that sample differences miss.
+"""Noise that differences of neighbouring samples miss, because it has a memory.
+
+Of a joint it is seen at rest, before any input acts.
 
 Wind sways a tree before anyone pulls it, slowly compared with the sampling, so differences of neighbouring samples are
 far smaller than the sway. No law of the input explains this sway. If it were left out of the noise, it would count as
@@ -22,6 +24,11 @@ from .contest import Batch, Contest
 STILL = 0.05
 #: Fewest samples at rest for an estimate.
 LEAST = 50
+#: Fewest samples of a stretch before a branch is touched; how much larger than known the noise must be to count:
+#: three deviations of an estimate from 660 values, as two repeats of 110 samples along three axes have.
+FEWEST_QUIET, LARGER = 4, 1.08
+#: Repeats agree with rest where they show no more than this many times its deviation.
+AGREE = 1.25
 
 
 @dataclass(frozen=True)
@@ -72,6 +79,72 @@ def noise_at_rest(contest: Contest, batch: Batch) -> Noise:
         if _scatter(moving[..., c], leads) < STILL * total and scatter > sigma[c]:
             sigma[c], spectrum[c] = scatter, _spectrum(away[longest, : leads[longest], c])
     return Noise(sigma, spectrum)
+
+
+def noise_of_repeats(contest: Contest, batch: Batch, noise: Noise) -> Noise:
+    """Return the noise of a branch's channels, at least what repeats and quiet stretches of its recordings show.
+
+    A sensor that remembers its last reading changes little from sample to sample. Two recordings of one experiment
+    nevertheless differ by all of its noise, and so does one from rest before anything has touched the branch. A model
+    is subtracted first, so that a gust that it has is no noise. Repeats are the longer ones; where they scatter more
+    than rest does, the branch has changed between them, or noise of the force has moved it, and rest counts.
+
+    Args:
+        contest: The contest of a branch; joints keep their noise.
+        batch: The best model, a batch of one.
+        noise: The noise so far; returned itself where it is no larger.
+    """
+    if not isinstance(contest.case, BranchCase):
+        return noise
+    left = contest.measured - contest.simulate(contest.values(batch), batch.start)[0].double()
+    white = contest.whiten(left[None])[0] * contest.sigma  # without the response to noise of the force
+    axes = noise.sigma.reshape(2, 3)[0] > 0.0
+    moved, kinds = (x.cpu().numpy().reshape(*left.shape[:2], 2, 3)[..., axes] for x in (white, left))
+    repeats, rest = _repeats(contest, moved), _quiet(contest, kinds)
+    seen = np.where((repeats < AGREE * rest) | np.isnan(rest), repeats, rest)
+    ratio = (seen / noise.sigma.reshape(2, 3).max(1)).max(initial=0.0, where=np.isfinite(seen))
+    if ratio < LARGER:
+        return noise
+    grown = np.maximum(np.nan_to_num(seen), noise.sigma.reshape(2, 3).max(1))
+    return Noise(np.where(noise.sigma > 0.0, np.repeat(grown, 3), 0.0), noise.spectrum)
+
+
+def _repeats(contest: Contest, left: Array) -> Array:
+    """Return the deviation of each kind of channel between recordings of one experiment, NaN without any, [2]."""
+    apart = []
+    for i, t in enumerate(contest.case.trajectories):
+        if t.replicate_of is not None:
+            count = min(len(contest.recordings[k].t) for k in (i, t.replicate_of))
+            apart.append(left[i, :count] - left[t.replicate_of, :count])
+    return _deviation(apart) / np.sqrt(2.0)
+
+
+def _quiet(contest: Contest, left: Array) -> Array:
+    """Return the deviation of each kind of channel from its mean before the branch is touched, NaN without any, [2].
+
+    A branch that has taken a set rests elsewhere, and nobody knows how well the model has its place.
+    """
+    counts = [int(np.logical_and.accumulate(~r.contact).sum()) for r in contest.recordings]
+    runs = [(x[:n] - x[:n].mean(0)) * np.sqrt(n / (n - 1)) for x, n in zip(left, counts, strict=True)
+            if n >= FEWEST_QUIET]  # fmt: skip
+    return _deviation(runs)
+
+
+def force_at_rest(case: BranchCase, sigma: Array) -> Array:
+    """Return the noise of a branch's force [N], shape [3], at least its scatter before the branch is touched."""
+    axes = sigma > 0.0
+    counts = [int(np.logical_and.accumulate(t.no_contact).sum()) for t in case.trajectories]
+    runs = [t.force[:n, axes] - t.force[:n, axes].mean(0) for t, n in zip(case.trajectories, counts, strict=True)
+            if n >= FEWEST_QUIET]  # fmt: skip
+    seen = float(_deviation([x[:, None] for x in runs])[0])
+    return np.where(axes, seen, 0.0) if seen > LARGER * float(sigma.max()) else sigma
+
+
+def _deviation(runs: list[Array]) -> Array:
+    """Return the rms of each kind of channel over runs of samples [T, 2, axes]; NaN below `LEAST` of them."""
+    if sum(len(x) for x in runs) < LEAST:
+        return np.full(runs[0].shape[1] if runs else 2, np.nan)
+    return np.asarray(np.sqrt(np.mean(np.concatenate(runs) ** 2, axis=(0, 2))))
 
 
 def _leads(contest: Contest) -> list[int]:

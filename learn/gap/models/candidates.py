@@ -11,7 +11,7 @@ import numpy as np
 
 from ....sim.base.errors import InputError
 from ....sim.effects import Effect, EffectParameter, Law, Setting, effect_of, effects
-from ....sim.formats.import_mjcf import load_mjcf
+from ....sim.formats.import_mjcf import MEASURED, load_mjcf
 from ...cases.case import BranchCase, JointCase
 from ...cases.joints import JointSpec
 from ...replay.equation_error import fits_torque
@@ -97,7 +97,7 @@ def springs(case: BranchCase | JointCase) -> list[bool]:
         return [True] * case.num_segments
     if case.mjcf is None:
         return [not isinstance(j, JointSpec) or j.stiffness != 0.0 for j in case.joints]
-    tree = load_mjcf(case.mjcf).tree
+    tree = load_mjcf(case.mjcf, MEASURED).tree
     unknown = [{"stiffness", f"stiffness {j.name}"} & set(case.unknown) for j in case.joints]
     return [bool(u) or float(tree.stiffness[j.link]) != 0.0 for u, j in zip(unknown, case.joints, strict=True)]
 

@@ -6,12 +6,14 @@ import torch
 from scipy.stats import chi2
 
 from .contest import Contest
-from .fitted import Model, overdispersion
+from .fitted import QUIET, FittedModels, Model, overdispersion
 from .nested import switches
 from .refit import filled, normal_equations
 
 #: Probability of the interval.
 CONFIDENCE = 0.95
+#: Probability of the interval by the likelihood, which a search of minima gives: wider by as much as it is less sure.
+SURE = 1.0 - 1e-6
 
 
 def covariance(contest: Contest, model: Model) -> tuple[torch.Tensor, list[int]]:
@@ -26,11 +28,34 @@ def covariance(contest: Contest, model: Model) -> tuple[torch.Tensor, list[int]]
     return spread[: len(own), : len(own)], own
 
 
-def uncertain(contest: Contest, model: Model) -> tuple[int, ...]:
-    """Return the effects of a model whose strength may as well be neutral, as indices of candidates.
+def doubtful(fitted: FittedModels, model: Model) -> tuple[int, ...]:
+    """Return the effects of a model that may as well be off, as indices of candidates.
 
-    Strengths of either sign are neutral together, so their joint interval counts. One that is positive on a logarithmic
-    scale is never neutral; its interval then touches the end of its box that is next to neutral.
+    Curvature misleads where a strength stands beside others that act only with it: a slip whose yield force and share
+    of flow are free, too. A model that leaves noise alone is right without one, so an effect is on for certain if the
+    model with that effect off, all else fitted anew, is outside the interval by the likelihood (Wilks 1938).
+    """
+    off = uncertain(fitted.contest, model)
+    if fitted.reduced_chi2(model) > QUIET or model.rests:
+        return off
+    return tuple(c for c in off if not _needed(fitted, model, c))
+
+
+def _needed(fitted: FittedModels, model: Model, member: int) -> bool:
+    """Return whether a model without one of its effects is outside the interval by the likelihood."""
+    others = set(model.members) - {member}
+    without = [m for m in fitted.contained(model) if set(m.members) == others]
+    freedom = len(fitted.contest.candidates[member].columns)
+    gained = min((m.chi2 for m in without), default=model.chi2) - model.chi2
+    return gained / overdispersion(fitted.contest, model.chi2) > float(chi2.ppf(SURE, freedom))
+
+
+def uncertain(contest: Contest, model: Model) -> tuple[int, ...]:
+    """Return the effects of a model whose strength may as well be neutral by the curvature, as indices of candidates.
+
+    Strengths of either sign are neutral together, so their joint interval counts. One on a logarithmic scale is
+    neutral at zero, which an interval of the value touches that is as wide as the value. Of any other, neutral is the
+    end of its box that is next to it.
     """
     if model.rests:
         return model.members
@@ -48,5 +73,7 @@ def _touches(contest: Contest, model: Model, member: int, spread: torch.Tensor, 
         apart = float((free - off) @ torch.linalg.lstsq(part, (free - off)[:, None]).solution[:, 0])
         return apart < float(chi2.ppf(CONFIDENCE, len(own)))
     reach = float(chi2.ppf(CONFIDENCE, 1)) ** 0.5 * float(part[0, 0].clamp(min=0.0)) ** 0.5
+    if parameter.scale == "log":  # to first order the motion follows the value, whose interval is its share
+        return reach >= 1.0
     low, high = float(contest.low[own[0]]), float(contest.high[own[0]])
     return float(free[0]) - reach <= low if neutral <= parameter.low else float(free[0]) + reach >= high

@@ -5,8 +5,9 @@ all parameters (base first, then effects) and a mask of the active ones; the oth
 Residuals are whitened with the noise estimated from the data alone, including the response to the force's noise, so a
 perfect model leaves white noise of standard deviation one.
 
-Wood also bends inside a segment. Its response is simulated on a finer branch and enters every fit as a few linear
-nuisance columns with a prior (`nuisance`), so that no effect is named for it.
+Wood also bends inside a segment, and a branch's file is a little wrong about its geometry and its sensors. What these
+change is simulated apart and enters every fit as linear columns with a prior (`nuisance`), so that no effect is named
+for it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 import torch
 
 from ....sim.base.types import Array
+from ....sim.effects import in_setting
 from ...cases.case import BranchCase, JointCase
 from ...replay.equation_error import simulation_of
 from ...replay.input_noise import Colour
@@ -28,6 +30,7 @@ from ...replay.rollout import Rollout
 from ...systems.branch import Unknowns
 from ...systems.system import box_of, values_of
 from .candidates import Candidate, everywhere, passes_neutral
+from .nuisance import none_of
 
 #: Parameter sets per launch; a small remainder runs in launches of the second size.
 LAUNCH, SMALL = 128, 16
@@ -94,10 +97,10 @@ class Contest:
         centre, spread: Mean and standard deviation of the normal prior of the free coordinates, shape [n].
         reach: Change of a free coordinate over which the response is about linear, shape [n].
         colour: How noise of the force correlates the residuals; None where it does not.
-        nuisance: Whitened linear columns shared by all models, shape [m, R T C], with normal priors of mean
-            ``nuisance_mean`` and standard deviation ``nuisance_spread``, shape [m].
+        nuisance: Linear columns with priors that all models share.
         overdispersion: Reduced chi-squared expected of the best model; prior terms are scaled by it.
         names: Effects that may act.
+        finer: How many times as short as the system's own steps are.
         motion: Measured channels, but joints' positions about their means, [R, T, C]; zero past a recording's end.
         data_sigma: Noise of the channels as it was estimated from the data alone, shape [C].
         num_samples: Number of measured values with noise above zero, the N of the reduced chi-squared.
@@ -111,7 +114,7 @@ class Contest:
         self.case, self.recordings, self.device = case, list(recordings), device
         self.names = tuple(names)
         self.unknowns = Unknowns(effects=everywhere(case, names))
-        self._rollouts: dict[int, Rollout] = {}
+        self.finer, self._rollouts = 1, dict[int, Rollout]()
         self._beginnings: dict[float, Contest] = {}
         first = self._rollout(SMALL)
         system = first.system
@@ -131,14 +134,18 @@ class Contest:
         self._stiffen()
 
     def _stiffen(self) -> None:
-        empty = torch.zeros(0, dtype=torch.float64, device=self.place)
-        self.nuisance = empty.new_zeros(0, self.measured.numel())
-        self.nuisance_mean, self.nuisance_spread = empty, empty
+        self.nuisance = none_of(self.measured)
 
     def rigid(self) -> Contest:
-        """Return the same contest, sharing memory, without nuisance columns: its segments are rigid."""
+        """Return the same contest, sharing memory, without nuisances: rigid segments as the file has them."""
         out = copy(self)
         out._stiffen()
+        return out
+
+    def finely(self) -> Contest:
+        """Return the same contest, sharing memory, with steps half as long."""
+        out = copy(self)
+        out.finer, out._rollouts = 2 * self.finer, {}
         return out
 
     def beginnings(self, share: float) -> Contest:
@@ -152,7 +159,7 @@ class Contest:
     def _rollout(self, size: int) -> Rollout:
         if size not in self._rollouts:
             self._rollouts[size] = simulation_of(self.case)(
-                self.case, self.recordings, size, unknowns=self.unknowns, device=self.device
+                self.case, self.recordings, size, unknowns=self.unknowns, device=self.device, finer=self.finer
             )
         return self._rollouts[size]
 
@@ -185,7 +192,7 @@ class Contest:
                 if passes_neutral(spec, self.parameters[column]):
                     self.typical[column] = self.parameters[column].free(spec.neutral)
                 if spec.reach is not None:
-                    self.reach[column] = spec.reach(setting) if callable(spec.reach) else spec.reach
+                    self.reach[column] = in_setting(spec.reach, setting)
 
     def _stack(self) -> None:
         longest, channels = max(len(r.t) for r in self.recordings), self.recordings[0].output.shape[1]

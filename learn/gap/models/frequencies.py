@@ -100,9 +100,9 @@ def _separate(gain: np.ndarray, count: int) -> list[int]:
 
 def _gain_together(basis: Basis, left: torch.Tensor, waves: torch.Tensor) -> float:
     """Gain for a residual [N] of a force with one phase in all recordings; ``waves`` [4, R, T, C]."""
-    own = basis.free_of(waves.flatten(1))
-    pull = own @ left
-    return float(pull @ torch.linalg.lstsq(own @ own.T, pull[:, None]).solution[:, 0])
+    own = waves.flatten(1)
+    pull, normal = own @ left, own @ basis.free_of(own).T
+    return float(pull @ torch.linalg.lstsq(normal, pull[:, None]).solution[:, 0])
 
 
 def _gain_apart(left: torch.Tensor, waves: torch.Tensor) -> float:

@@ -35,6 +35,6 @@ def left_out_chi2(contest: Contest, models: Sequence[Model], groups: Sequence[Se
     full = Batch(fitted.batch.free, fitted.batch.active, fitted.batch.start, torch.ones_like(fitted.batch.weight))
     residual = contest.residual(full)
     if len(contest.nuisance):
-        residual = residual - (fitted.nuisance @ contest.nuisance).view_as(residual)
+        residual = residual - contest.nuisance.change(fitted.nuisance, full.weight).view_as(residual)
     by_recording = (residual**2).sum((-1, -2)).view(len(models), len(groups), -1)
     return torch.stack([by_recording[:, g, list(group)].sum(-1) for g, group in enumerate(groups)], 1)

@@ -56,7 +56,7 @@ def better_of(contest: Contest, models: Sequence[Model], earlier: Sequence[Model
     if not earlier:
         return list(models)
     again = evaluated(contest, Batch.joined([m.fit.batch for m in earlier]))
-    every = [*models, *(Model(m.members, again.one(s), m.settled) for s, m in enumerate(earlier))]
+    every = [*models, *(replace(m, fit=again.one(s)) for s, m in enumerate(earlier))]
     out: dict[tuple[int, ...], Model] = {}
     for m in sorted(every, key=lambda m: m.cost + penalty(contest, m.members)):
         out.setdefault(m.members, m)
@@ -170,7 +170,7 @@ def _starts(contest: Contest, basis: Basis, scan: Scan, candidate: int) -> Batch
 def refitted(contest: Contest, models: Sequence[Model], iterations: int) -> list[Model]:
     """Return models refitted after the noise model has changed, best first."""
     fits = fit(contest, Batch.joined([m.fit.batch for m in models]), iterations)
-    out = [Model(m.members, fits.one(s), m.settled) for s, m in enumerate(models)]
+    out = [replace(m, fit=fits.one(s)) for s, m in enumerate(models)]
     return sorted(out, key=lambda m: m.cost + penalty(contest, m.members))
 
 

@@ -25,8 +25,9 @@ class Fits:
 
     Attributes:
         batch: The models.
-        chi2: Sum of squared whitened residuals after the nuisance columns are fitted, shape [S].
-        cost: Chi-squared plus prior terms, the objective, shape [S].
+        chi2: Sum of squared whitened residuals after the nuisance columns are fitted, plus the squares of their
+            coefficients' deviations from the prior's means, shape [S]: chi-squared of the covariance that has both.
+        cost: Chi-squared plus prior terms, times the overdispersion, the objective, shape [S].
         nuisance: Coefficients of the nuisance columns, shape [S, m].
         damping: Damping of the next step, shape [S].
     """
@@ -90,26 +91,22 @@ def _fit(contest: Contest, batch: Batch, iterations: int) -> Fits:
 def evaluated(contest: Contest, batch: Batch) -> Fits:
     """Return a batch with its chi-squared, without a step."""
     residual = contest.residual(batch).flatten(1)
-    nuisance, chi2, penalty = _absorbed(contest, residual, batch)
-    return Fits(batch, chi2, chi2 + penalty + prior_of(contest, batch), nuisance, torch.full_like(chi2, DAMPING))
+    nuisance, left, away = _absorbed(contest, residual, batch)
+    cost = left + contest.overdispersion * away + prior_of(contest, batch)
+    return Fits(batch, left + away, cost, nuisance, torch.full_like(cost, DAMPING))
 
 
 def _absorbed(
     contest: Contest, residual: torch.Tensor, batch: Batch
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Best coefficients of the nuisance columns [S, m], chi-squared that remains [S], and their prior term [S]."""
-    basis, mean = contest.nuisance, contest.nuisance_mean
-    precision = contest.overdispersion * contest.nuisance_spread**-2
-    if not len(basis):
-        zero = residual.new_zeros(len(residual))
-        return residual.new_zeros(len(residual), 0), (residual**2).sum(1), zero
-    weight = batch.weight[:, :, None].expand(-1, -1, basis.shape[1] // batch.weight.shape[1]).flatten(1)
-    own = basis[None] * weight[:, None]
-    normal = own @ own.transpose(1, 2) + torch.diag(precision)
-    pull = (own @ residual[..., None])[..., 0] + mean * precision
-    found = torch.linalg.solve(normal, pull[..., None])[..., 0]
-    left = residual - (found[:, None] @ own)[:, 0]
-    return found, (left**2).sum(1), (precision * (found - mean) ** 2).sum(1)
+    """Best coefficients of nuisance columns [S, m], what they leave [S], and their squared distance from the means."""
+    own, od = contest.nuisance, contest.overdispersion
+    if not len(own):
+        return residual.new_zeros(len(residual), 0), (residual**2).sum(1), residual.new_zeros(len(residual))
+    pull = own.along(residual[:, None], batch.weight)[:, 0] + od * own.mean
+    found = torch.linalg.solve(own.precision(batch.weight, od), pull[..., None])[..., 0]
+    left = residual - own.change(found, batch.weight)
+    return found, (left**2).sum(1), ((found - own.mean) ** 2).sum(1)
 
 
 def _step(
@@ -158,26 +155,34 @@ def bounded(matrix: torch.Tensor, right: torch.Tensor, low: torch.Tensor, high: 
 def normal_equations(
     contest: Contest, batch: Batch, residual: torch.Tensor, derivative: torch.Tensor, columns: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return Gauss-Newton matrix [S, p + m, p + m] and right-hand side [S, p + m], nuisance columns last."""
+    """Return Gauss-Newton matrix [S, p, p] and right-hand side [S, p], coefficients of nuisance columns eliminated."""
     flat, r = derivative.flatten(2), residual.flatten(1)
-    basis = contest.nuisance
-    if len(basis):
-        weight = batch.weight[:, :, None].expand(-1, -1, basis.shape[1] // batch.weight.shape[1]).flatten(1)
-        flat = torch.cat([flat, basis[None] * weight[:, None]], 1)
     normal = flat @ flat.transpose(1, 2)
     pull = (flat @ r[..., None])[..., 0]
     at = columns.clamp(min=0)
     used = columns >= 0
     precision = torch.where(used, contest.overdispersion * contest.spread[at] ** -2, 0.0)
     lean = torch.where(used, (contest.centre[at] - torch.gather(batch.free, 1, at)) * precision, 0.0)
-    q, p = columns.shape[1], derivative.shape[1]
     extra = torch.zeros_like(pull)
-    extra[:, :q] = precision
-    pull[:, :q] += lean
-    if len(basis):
-        extra[:, p:] = contest.overdispersion * contest.nuisance_spread**-2
-        pull[:, p:] += contest.nuisance_mean * extra[:, p:]
+    extra[:, : columns.shape[1]] = precision
+    pull[:, : columns.shape[1]] += lean
+    if len(contest.nuisance):
+        less, away = _eliminated(contest, batch, flat, r)
+        normal, pull = normal - less, pull - away
     return normal + torch.diag_embed(extra), pull
+
+
+def _eliminated(
+    contest: Contest, batch: Batch, flat: torch.Tensor, r: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return what nuisance columns take from the normal matrix [S, p, p] and the right-hand side [S, p] (Schur)."""
+    own, od = contest.nuisance, contest.overdispersion
+    mixed = own.along(flat, batch.weight)
+    pull = own.along(r[:, None], batch.weight)[:, 0] + od * own.mean
+    factor = torch.linalg.cholesky(own.precision(batch.weight, od))
+    through = torch.cholesky_solve(torch.cat([mixed.transpose(1, 2), pull[..., None]], 2), factor)
+    out = mixed @ through
+    return out[..., :-1], out[..., -1]
 
 
 def filled(normal: torch.Tensor) -> torch.Tensor:

@@ -53,7 +53,7 @@ class Basis:
 
     Attributes:
         fit: The model, a batch of one.
-        residual: Whitened residual, shape [N].
+        residual: Whitened residual less the mean of the nuisance columns, shape [N].
         columns: Indices of its free parameters, shape [q].
     """
 
@@ -61,15 +61,18 @@ class Basis:
         self.fit = fit
         residual, derivative, columns = contest.linearise(fit.batch)
         self.columns, own = columns[0], derivative[0].flatten(1)
-        self.residual = residual[0].flatten()
-        at = self.columns
-        prior = [contest.spread[at], own.new_full((len(own) - len(at),), 1e6), contest.nuisance_spread]
-        self._jacobian = torch.cat([own, contest.nuisance])
+        at, nuisance = self.columns, contest.nuisance
+        self.residual = residual[0].flatten() - nuisance.mean @ nuisance.flat
+        prior = [contest.spread[at], own.new_full((len(own) - len(at),), 1e6), own.new_ones(len(nuisance))]
+        self._jacobian = torch.cat([own, nuisance.flat])
         precision = contest.overdispersion * torch.cat(prior) ** -2
         self._factor = torch.linalg.cholesky(self._jacobian @ self._jacobian.T + torch.diag(precision))
 
     def free_of(self, vectors: torch.Tensor) -> torch.Tensor:
-        """Return vectors [V, N] minus their projection on the model's own span."""
+        """Return vectors [V, N] minus their projection on the model's own span, M v.
+
+        M is the inverse of the covariance of the noise, the nuisances and the model's parameters under their priors.
+        """
         return self.split(vectors)[1]
 
     def split(self, vectors: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -99,14 +102,14 @@ def score_probes(contest: Contest, basis: Basis, probes: Sequence[Probe], residu
     weight = basis.fit.batch.weight[0]
     change = change * weight.repeat_interleave(change.shape[1] // len(weight))
     acts = change.abs().amax(1) > NOTHING
-    imitated, change = basis.split(change)
+    imitated, beyond = basis.split(change)
     imitated = imitated[:, : len(basis.columns)]
     left = basis.free_of(residuals)
     kept = [k for k in range(len(probes)) if acts[owner == k].any()] or range(len(probes))
     gains, strength, absorbed = [], [], []
     for k in kept:
-        own = change[owner == k]
-        found, explained = _explained(own, left, bounded=not probes[k].moved)
+        own, apart = change[owner == k], beyond[owner == k]
+        found, explained = _explained(own, apart, left, bounded=not probes[k].moved)
         gains.append(explained)
         strength.append(found[0])
         absorbed.append(found[0] @ imitated[owner == k])
@@ -114,9 +117,14 @@ def score_probes(contest: Contest, basis: Basis, probes: Sequence[Probe], residu
     return Scan(acting, torch.stack(gains, 1), strength, [1] * len(acting), torch.stack(absorbed))
 
 
-def _explained(columns: torch.Tensor, left: torch.Tensor, *, bounded: bool) -> tuple[torch.Tensor, torch.Tensor]:
-    """Coefficients [V, q] of columns [q, N] fitted to residuals [V, N], and the decrease of chi-squared [V]."""
-    normal, pull = columns @ columns.T, left @ columns.T
+def _explained(
+    columns: torch.Tensor, beyond: torch.Tensor, left: torch.Tensor, *, bounded: bool
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Coefficients [V, q] of columns C [q, N] fitted to residuals r [V, N], and the decrease of r M r [V].
+
+    ``beyond`` and ``left`` are M C and M r, see `Basis.free_of`.
+    """
+    normal, pull = columns @ beyond.T, left @ columns.T
     size = normal.diagonal().clamp(min=1e-12)
     if bounded:  # the effect itself at some strength, which cannot become negative
         found = (pull / size).clamp(0.0, FURTHEST)

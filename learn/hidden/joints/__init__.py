@@ -2,5 +2,5 @@
 
 Nothing of ``bough.sim.effects`` or of the kernels is imported; the form that a law has here is rarely the registry's.
 
-Uses: nothing of the package.
+Uses: ``sim.base``.
 """

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from ....sim.base.errors import InputError
 from .laws import LAWS, OUTSIDE, Entry, Scale
 from .rig import Array, Law, Motion, move
 from .rigs import RUNS, Rig, draw_rig
@@ -18,6 +19,8 @@ from .rigs import RUNS, Rig, draw_rig
 Random = np.random.Generator
 #: Sizes of effects: rms change of what is compared over its rms; log-uniform between these.
 SIZES = (0.05, 0.30)
+#: Draws until a motion is sane, and the most by which laws may enlarge its angles, rates and efforts.
+DRAWS, WILD = 10, 3.0
 #: Strengths that are tried, and steps of the fit that says how visible a law is.
 TRIES, STEPS = 7, 3
 #: Change of a logarithm over which that fit takes its slopes.
@@ -62,19 +65,46 @@ class Hidden:
 
 
 def hide_joints(folder: str | Path, *, rig: str, laws: Sequence[str], seed: int) -> dict[str, Any]:
-    """Write a case folder of a kind of rig with hidden laws, and its answer beside it; return the answer."""
-    rng = np.random.default_rng([seed, 31])
-    drawn = draw_rig(rig, rng)
-    plain = drawn.move([], fine=drawn.steps[0])
-    hidden = [_sized(drawn, plain, label, rng) for label in laws]
-    acting = [h.law for h in hidden if h.law is not None]
-    motion = drawn.move(acting, fine=drawn.steps[1])
+    """Write a case folder of a kind of rig with hidden laws, and its answer beside it; return the answer.
+
+    Raises:
+        InputError: No draw of `DRAWS` moves sanely with these laws.
+    """
+    for draw in range(DRAWS):
+        rng = np.random.default_rng([seed, 31, draw] if draw else [seed, 31])
+        drawn, hidden, motion = _drawn(rig, laws, rng)
+        if motion is not None:
+            break
+    else:
+        found = f"no finite motion of a {rig} in {DRAWS} draws"
+        raise InputError(Path(folder), " and ".join(laws) or "nothing hidden", found, "another seed, rig or law")
     effort = _read(drawn, motion, hidden)
     gap = _visible(drawn, motion, effort, hidden) if hidden else 0.0
     tables, noise = _sensed(drawn, motion.angle, effort, rng)
     answer = _answer(drawn, hidden, gap, noise, seed)
     _write(Path(folder), drawn, tables, answer)
     return answer
+
+
+def _drawn(kind: str, laws: Sequence[str], rng: Random) -> tuple[Rig, list[Hidden], Motion | None]:
+    """Draw a rig with hidden laws; return it with its motion, None if that is not `sane`."""
+    rig = draw_rig(kind, rng)
+    with np.errstate(all="ignore"):
+        plain = rig.move([], fine=rig.steps[0])
+        hidden = [_sized(rig, plain, label, rng) for label in laws] if sane(plain, plain) else []
+        try:
+            motion = rig.move([h.law for h in hidden if h.law is not None], fine=rig.steps[1])
+        except np.linalg.LinAlgError:
+            return rig, hidden, None
+    return rig, hidden, motion if len(hidden) == len(laws) and sane(motion, plain) else None
+
+
+def sane(motion: Motion, plain: Motion) -> bool:
+    """Return whether a motion is finite, within two turns, and its numbers within `WILD` of those without the laws."""
+    for x, own in ((motion.angle, plain.angle), (motion.rate, plain.rate), (motion.effort, plain.effort)):
+        if not np.isfinite(x).all() or np.sqrt(np.mean(x**2)) > WILD * np.sqrt(np.mean(own**2)):
+            return False
+    return bool(np.isfinite(motion.law).all() and np.abs(motion.angle).max() < 4.0 * np.pi)
 
 
 # ---- how strong -----------------------------------------------------------------------------------------------------
@@ -221,8 +251,9 @@ def _replayed(rig: Rig, motion: Motion, effort: Array, names: Sequence[str], unk
         share = min(time / step - k, 1.0)
         return (1.0 - share) * effort[k] + share * effort[k + 1]
 
-    out = move(chain, rig.start, np.zeros_like(rig.start), recorded, [], seconds=rig.seconds, step=step / rig.steps[0])
-    return out.angle[:: rig.steps[0]]
+    fine = rig.steps[0]
+    return move(chain, rig.start, np.zeros_like(rig.start), recorded, [], seconds=rig.seconds, step=step / fine,
+                every=fine).angle  # fmt: skip
 
 
 # ---- sensors and files ----------------------------------------------------------------------------------------------

@@ -56,11 +56,13 @@ class Lagging(Law):
     time: float
 
     def begin(self, angle: Array, rate: Array) -> None:
-        """Start without current."""
-        self._given = np.zeros_like(angle)
+        """Start with the current that the first command asks for."""
+        self._given: Array | None = None
 
     def torque(self, now: Now) -> Array:
         """Return what the current lacks [B]."""
+        if self._given is None:
+            self._given = now.effort.copy()
         self._given = now.effort + (self._given - now.effort) * np.exp(-now.step / (self.strength * self.time))
         return self._given - now.effort
 

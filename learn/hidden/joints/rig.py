@@ -88,6 +88,16 @@ class Chain:
         matrix, _ = self.equations(q, np.zeros_like(q))
         return np.diagonal(matrix, axis1=1, axis2=2)
 
+    def fastest(self, stiff: Array, damped: Array) -> float:
+        """Return the fastest rate [1/s] of small motions about hanging, with further gains of angle and rate [n].
+
+        Of decays it is the decay's rate, of oscillations the circular frequency; no posture has less inertia.
+        """
+        inverse = np.linalg.inv(self.equations(np.zeros((1, self.count)), np.zeros((1, self.count)))[0][0])
+        springs = np.linalg.eigvals(inverse @ np.diag(self.stiffness + stiff))
+        dampers = np.linalg.eigvals(inverse @ np.diag(self.damping + damped))
+        return float(max(np.abs(springs).max() ** 0.5, np.abs(dampers).max()))
+
     def energy(self, q: Array, v: Array) -> Array:
         """Return kinetic and potential energy of links, rotors and springs [B], J."""
         matrix, _ = self.equations(q, v)
@@ -141,12 +151,12 @@ class Law(ABC):
 
 @dataclass(frozen=True)
 class Motion:
-    """What runs did, at the samples k h.
+    """What runs did, at the samples.
 
     Attributes:
         time: [s], shape [T].
         angle, rate, effort: Of all joints, shapes [T, B, n].
-        law: Torque of the laws at all joints, shape [T, B, n].
+        law: Torque of the laws at all joints, in the middle of the step after each sample, shape [T, B, n].
     """
 
     time: Array
@@ -157,14 +167,15 @@ class Motion:
 
 
 def move(
-    chain: Chain, start: Array, rate: Array, drive: Drive, laws: Sequence[Law], *, seconds: float, step: float
-) -> Motion:
-    """Integrate B runs from angles and rates [B, n]."""
+    chain: Chain, start: Array, rate: Array, drive: Drive, laws: Sequence[Law], *, seconds: float, step: float,
+    every: int = 1,
+) -> Motion:  # fmt: skip
+    """Integrate B runs from angles and rates [B, n]; every ``every``-th step is a sample."""
     count = round(seconds / step) + 1
     q, v = start.copy(), rate.copy()
     for law in laws:
         law.begin(q[:, law.joint], v[:, law.joint])
-    out = [np.empty((count, *q.shape)) for _ in range(4)]
+    out = [np.empty((-(-count // every), *q.shape)) for _ in range(4)]
     least = [float(x) for x in _least_inertia(chain)]
     gained = np.zeros_like(v)
     for k in range(count):
@@ -176,12 +187,13 @@ def move(
             j = law.joint
             now = Now(time + 0.5 * step, step, middle[:, j], about[:, j], effort[:, j], least[j], middle)
             given[:, j] += law.torque(now)
-        for store, value in zip(out, (q, v, effort, given), strict=True):
-            store[k] = value
+        if k % every == 0:  # the effort of this moment: that of the step is half a step late
+            for store, value in zip(out, (q, v, drive(time, q, v), given), strict=True):
+                store[k // every] = value
         gained = chain.acceleration(middle, about, effort + given)
         v = v + step * gained
         q = middle + 0.5 * step * v
-    return Motion(step * np.arange(count), *out)
+    return Motion(step * every * np.arange(len(out[0])), *out)
 
 
 def _least_inertia(chain: Chain) -> Array:

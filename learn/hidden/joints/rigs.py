@@ -15,6 +15,8 @@ Random = np.random.Generator
 RATES = (50.0, 100.0, 200.0, 500.0, 1000.0)
 #: Samples per recording of replays, and of torque fits, which keep one in ten.
 SAMPLES, TORQUES = 400, 800
+#: Largest product of step and fastest rate while strengths are tried, and for the recording.
+COARSE, FINE = 0.3, 0.1
 #: Recordings.
 RUNS = 3
 #: Kinds of rigs: what moves, and how it is fitted where the case says so.
@@ -52,8 +54,14 @@ class Rig:
 
     @property
     def steps(self) -> tuple[int, int]:
-        """Steps a sample, while strengths are tried and for the recording: 200 and 500 a period of the fastest tone."""
-        return (5, 12) if self.replayed else (2, 6)
+        """Steps a sample, while strengths are tried and for the recording: 200 and 500 a period of the fastest tone.
+
+        More where a controller, whose dampers are explicit here, acts on links so light that a step would be unstable.
+        """
+        gains = np.zeros((2, self.chain.count)) if self.control is None else self.control
+        swift = self.chain.fastest(*gains) / self.rate
+        least = (5, 12) if self.replayed else (2, 6)
+        return max(least[0], int(np.ceil(swift / COARSE))), max(least[1], int(np.ceil(swift / FINE)))
 
     @property
     def replayed(self) -> bool:
@@ -79,9 +87,8 @@ class Rig:
         """Integrate ``copies`` of the recordings with ``fine`` steps a sample; keep the samples alone."""
         start = np.tile(self.start, (copies, 1))
         step = 1.0 / (self.rate * fine)
-        motion = move(chain or self.chain, start, np.zeros_like(start), self.drive(copies), laws,
-                      seconds=self.seconds, step=step)  # fmt: skip
-        return Motion(*(x[::fine] for x in vars(motion).values()))
+        return move(chain or self.chain, start, np.zeros_like(start), self.drive(copies), laws,
+                    seconds=self.seconds, step=step, every=fine)  # fmt: skip
 
     def mechanism(self) -> tuple[dict[str, Any], dict[str, str]]:
         """Return the keys of ``meta.yaml`` that describe what moves, and the files beside it."""

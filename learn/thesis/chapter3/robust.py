@@ -15,7 +15,7 @@ from ....sim.base.types import Array
 from ...cases.case import BranchCase
 from ...inference.identify import Identification, run
 from ...inference.predict import Prediction
-from ...inference.settings import Method, Settings
+from ...inference.settings import Settings
 from ...replay.simulated_case import Experiment, random_branch, write_simulated_case
 from ...samplers.diagnostics import Convergence
 from ...systems.branch import Unknowns
@@ -57,7 +57,7 @@ class Study:
 
 def _settings(segments: int, particles: int, iterations: int, seed: int, cv: int = 0) -> Settings:
     """NNSVGD; SVGD for one segment, which has no parent to be below."""
-    method: Method = "nnsvgd" if segments > 1 else "svgd"
+    method = "nnsvgd" if segments > 1 else "svgd"
     return Settings(particles=particles, iterations=min(UPDATES, iterations), seed=seed, method=method, box=_BOX, cv=cv)
 
 

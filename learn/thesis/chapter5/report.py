@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from ...policies.evaluate import COLUMNS, Row
+from ...policies.evaluate import Row
 from ...reports.page import KeyNumber, ReportContent, ReportFigure, ReportTable
 from . import embedding, figures
 from .findings import LEAST_SEEDS, Findings, Interval
 from .runs import (
     BASELINES,
+    COLUMNS,
     MEDIAN_NOISE,
     REMOVED,
     TABLE_5_2,

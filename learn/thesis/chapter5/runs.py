@@ -11,11 +11,15 @@ from typing import Any
 
 from ....sim.base.errors import InputError
 from ...policies import train_report
-from ...policies.evaluate import COLUMNS, JSON, Row, evaluate
-from ...policies.ppo_settings import PRESETS, PPOSettings, Preset
+from ...policies.evaluate import JSON, Row, evaluate
 from ...policies.train import Plan, plan_of, train, warn_of_differences
 from ...runs.folder import RunFolder
+from ...tasks.measures import CLEARING_COLUMNS
+from ...tasks.ppo_settings import PRESETS, PPOSettings, Preset
 from ...tasks.registry import TaskRegistry
+
+COLUMNS = tuple(column.name for column in CLEARING_COLUMNS)
+"""Columns of table 5.2 that are measured on test sets."""
 
 TASK = "powerline"
 MEDIAN_NOISE, BEST_NOISE = 0.02, 0.005
@@ -148,7 +152,8 @@ class Options:
 
     def settings(self, run: Run, registry: TaskRegistry) -> Any:
         """Return the settings of a run's task."""
-        settings = registry.without(registry.presets[self.preset], run.left_out)
+        kind = registry.of(TASK)
+        settings = kind.without(kind.presets[self.preset], run.left_out)
         return replace(settings, max_noise=(run.noise, run.noise))
 
     def plan(self, run: Run, registry: TaskRegistry) -> Plan:

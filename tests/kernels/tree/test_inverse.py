@@ -65,7 +65,7 @@ def test_efforts_of_imported_mechanisms(seed, tmp_path):
     """Compile random MJCF in MuJoCo and read it here: bodies of several joints, refs, springs, any gravity."""
     text = RandomMjcf(seed, 6).text
     (tmp_path / "arm.xml").write_text(text)
-    mechanism = load_mjcf(tmp_path / "arm.xml")
+    mechanism = load_mjcf(tmp_path / "arm.xml", ("all",))
     model = mujoco.MjModel.from_xml_string(text)
     model.opt.disableflags |= int(OFF)
     start = state_of(np.random.default_rng(seed), mechanism.tree)

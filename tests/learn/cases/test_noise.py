@@ -34,6 +34,27 @@ def test_differences_of_white_noise_are_unbiased() -> None:
     assert 0.7 < draws[:, 1].mean() / draws[:, 0].std() < 1.5
 
 
+@pytest.mark.parametrize("ratio", [0.2, 0.3, 0.5, 0.8, 1.5])
+def test_rounding_hides_no_noise(ratio: float) -> None:
+    """The noise of an encoder, its rounding included, is found within 6 % in the mean; plain medians gave 71 to 95 %.
+
+    Twenty estimates scatter by 5 % at most, their mean by 1 %; a deviation of a fifth of a count is hardly white.
+    """
+    rng, t = np.random.default_rng(0), np.arange(2000) * 1e-3
+    shares = []
+    for k in range(20):
+        smooth = 200.0 * np.sin(4.0 * np.pi * t + k) + (30.0 + k) * np.sin(15.0 * t)
+        read = np.round(smooth + ratio * rng.standard_normal(2000))
+        shares.append(difference_sigma([read * 1.53e-3])[0] / ((read - smooth).std() * 1.53e-3))
+    assert abs(np.mean(shares) - 1.0) < 0.06
+
+
+def test_a_signal_that_stands_still_has_no_noise() -> None:
+    """Equal samples, and equal ones but for the round-off of their last digits, give none."""
+    assert difference_sigma([np.full(100, 0.3)])[0] == 0.0
+    assert difference_sigma([0.3 + 1e-15 * (np.arange(100) % 2)])[0] < 1e-14
+
+
 def test_jumps_do_not_count() -> None:
     """A step of a thousand sigma in every signal moves the estimate by less than a fifth."""
     rng = np.random.default_rng(1)

@@ -14,16 +14,17 @@ from bough.learn.gap.decide import alternatives, chosen, known, leading
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.evidence import family_wise, lacks_fit
+from bough.learn.gap.geometry import in_pieces
 from bough.learn.gap.models.candidates import Candidate, everywhere, names_for, probes_of
 from bough.learn.gap.models.contest import Batch, Contest, activated
 from bough.learn.gap.models.fitted import FittedModels, Model
 from bough.learn.gap.models.refit import Fits, bounded, evaluated, fit
 from bough.learn.gap.models.scan import Basis, Scan, score_probes
-from bough.learn.gap.next_probe import ARM_PROBES, best_probe, recordings_of
-from bough.learn.gap.prepare import in_pieces
+from bough.learn.gap.next_probe import best_probe, recordings_of
 from bough.learn.gap.run import Run
 from bough.learn.gap.usable import too_noisy
 from bough.learn.hidden import hide
+from bough.learn.replay.probes import PROBES
 from bough.learn.replay.recording import recordings
 from bough.learn.replay.rollout import Rollout
 from bough.learn.runs.threads import one_thread
@@ -160,12 +161,12 @@ def test_probes_are_worth_what_tells_models_apart(small):
     column = contest.candidates[place].columns[0]
     batch.free[0, column] = float(contest.high[column])
     rubs, plain = Model((place,), evaluated(contest, batch)), Model((), base)
-    worth = {p.words: best_probe(contest, rubs, plain, [p]).evidence for p in ARM_PROBES}
-    still = next(p for p in ARM_PROBES if "without a push" in p.words)
-    assert worth[still.words] == pytest.approx(0.0, abs=1e-6)
-    assert all(value > 0.0 for words, value in worth.items() if words != still.words)
+    probes = PROBES.everything()
+    worth = {name: best_probe(contest, rubs, plain, [p]).evidence for name, p in probes.items()}
+    assert worth.pop("still") == pytest.approx(0.0, abs=1e-6)
+    assert all(value > 0.0 for value in worth.values())
     assert best_probe(contest, rubs, plain).evidence == max(worth.values())
-    push = recordings_of(contest.case, contest.recordings, ARM_PROBES[2])[0]
+    push = recordings_of(contest.case, contest.recordings, probes["full_swing_in"])[0]
     largest = max(np.linalg.norm(r.input, axis=1).max() for r in contest.recordings)
     assert np.linalg.norm(push.input, axis=1).max() == pytest.approx(largest, rel=1e-6)
     assert not push.input[~push.contact].any() and 0.4 < push.contact.mean() < 0.6
@@ -283,7 +284,7 @@ def diagnosed(folder, **hidden):
         return find_missing(load_case(folder), Run(Settings(particles=0)))
 
 
-@pytest.mark.parametrize(("noise", "segments"), [(0.01, 3), (0.03, 3), (0.05, 3), (0.03, 1)])
+@pytest.mark.parametrize(("noise", "segments"), [(0.01, 2), (0.03, 3), (0.05, 2), (0.03, 1)])
 def test_nothing_hidden_is_called_none(tmp_path, noise, segments):
     """Raise no alarm on a branch that lacks nothing but the bending of its wood."""
     found = diagnosed(tmp_path / "case", seed=int(1000 * noise), noise=noise, segments=segments)
@@ -297,7 +298,8 @@ def test_nothing_hidden_is_called_none(tmp_path, noise, segments):
 )
 def test_hidden_effect_is_named(tmp_path, name, joint, noise):
     """Name a visible effect and its joint; leave a gap within 30 % of the noise, and half of what exceeds it."""
-    found = diagnosed(tmp_path / "case", effects=(name,), joint=joint, seed=5, noise=noise, size=0.2)
+    found = diagnosed(tmp_path / "case", effects=(name,), joint=joint, seed=5, noise=noise, size=0.2,
+                      segments=2)  # fmt: skip
     assert [(a.name, a.joint) for a in found.effects] == [(name, joint)], found.sentence
     assert found.p_null < 1e-6
     base, repaired, floor = found.gap.base, found.gap.repaired, found.gap.noise_floor
@@ -314,7 +316,8 @@ def test_a_gust_is_found_beside_what_hides_it(tmp_path):
 
 def test_effect_on_no_list_is_unknown(tmp_path):
     """Claim no name where a sensor's axes have different gains, and say which comes nearest."""
-    found = diagnosed(tmp_path / "case", outside="displacement_gain_error", seed=5, noise=0.03, size=0.25)
+    found = diagnosed(tmp_path / "case", outside="displacement_gain_error", seed=5, noise=0.03, size=0.25,
+                      segments=2)  # fmt: skip
     assert found.verdict == "unknown" and found.effects == () and found.nearest is not None
 
 

@@ -213,3 +213,15 @@ def test_a_name_that_another_filter_takes_back_is_not_claimed(tmp_path):
     said = {"unusable": None, "not_understood": (), "verdict": "unknown", "implausible": (), "remarks": ()}
     text = sentence(SimpleNamespace(**said, unstable=found.unstable))
     assert "hangs on how the data are treated: a filter of 5 Hz gives dry_friction" in text
+
+
+def test_an_effect_that_is_off_is_still_off_under_another_filter(tmp_path):
+    """A model whose effect is off, because nothing was better with it, has no strength with an interval."""
+    settings = Settings(("quadratic_drag",), particles=0)
+    with one_thread():
+        case = choose(load_case(drive(tmp_path / "case", rub=0.25)), "torque").case
+        base, searched, claimed, run = search_of(case, ("quadratic_drag",), settings)
+        off = Model(claimed.model.members, base.fit, True, rests=True)
+        searched.fitted.models[:] = [off]
+        nothing = replace(claimed, verdict="none", named=(), alternatives={}, model=searched.fitted.base)
+        assert steadied(base, searched, nothing, run) == nothing

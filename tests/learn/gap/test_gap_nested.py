@@ -9,10 +9,10 @@ import torch
 from bough.learn.cases.case import load_case
 from bough.learn.cases.noise import estimate_noise
 from bough.learn.gap import prepare as preparing
-from bough.learn.gap.decide import pays
+from bough.learn.gap.decide import bears_out, pays
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
-from bough.learn.gap.models.certain import covariance, uncertain
+from bough.learn.gap.models.certain import covariance, doubtful, uncertain
 from bough.learn.gap.models.contest import Contest, activated
 from bough.learn.gap.models.fitted import FittedModels, Model
 from bough.learn.gap.models.nested import close, fitted_again, from_contained, rebased, switches
@@ -102,8 +102,8 @@ def test_no_model_is_worse_than_one_nested_in_it(small):
 
 
 def test_no_model_is_worse_than_one_nested_in_it_in_hundreds_of_cases(small):
-    """The same in three hundred cases."""
-    assert hold_on_planted_minima(small, range(1000, 1300)) >= 250
+    """The same in two hundred cases."""
+    assert hold_on_planted_minima(small, range(1000, 1200)) >= 166
 
 
 def test_a_start_at_a_contained_model_is_that_model(small):
@@ -141,7 +141,7 @@ def test_intervals_that_touch_neutral_cover(small):
     """Take a scale of one for certain in about 5 % of 50 measurements (binomial, three deviations), of e^0.1 always.
 
     The deviation behind it is the scatter of the fitted scales to 35 % (three deviations of a scatter of 50). Friction
-    at the least end of its box is never certain.
+    at the least end of its box is certain where it is there.
     """
     models = [measured_with(small, "force_scale", 0.0, seed) for seed in range(50)]
     column = small.candidates[models[0].members[0]].columns[0]
@@ -152,8 +152,26 @@ def test_intervals_that_touch_neutral_cover(small):
     scatter = float(torch.stack([m.fit.batch.free[0, column] for m in models]).std())
     assert float(spread[k, k]) ** 0.5 == pytest.approx(scatter, rel=0.35)
     assert not uncertain(small, measured_with(small, "force_scale", 0.1, 0))
-    rubs = measured_with(small, "dry_friction", float(small.low[small.candidates[0].columns[0]]), 1)
+    least = float(small.low[small.candidates[0].columns[0]])
+    assert not uncertain(small, measured_with(small, "dry_friction", least, 1))  # it is there, and its box ends there
+    rubs = measured_with(small, "dry_friction", least - 20.0, 1)  # of e^-20 of that nothing is seen
     assert uncertain(small, rubs) == rubs.members
+
+
+def test_the_likelihood_overrules_the_curvature(small, monkeypatch):
+    """Take an effect for certain without which noise alone is not left, whatever its curvature says; no other.
+
+    A scale of one gains a chi-squared variable of one degree: above its quantile of 1 - 1e-6 in none of ten.
+    """
+    monkeypatch.setattr("bough.learn.gap.models.certain.uncertain", lambda contest, model: model.members)
+    for value, seeds in ((0.0, range(10)), (0.1, range(2))):
+        for seed in seeds:
+            model = measured_with(small, "force_scale", value, seed)
+            base = Model((), fit(small, small.base_batch(1), 15), True)
+            fitted = FittedModels(small, base, [model])
+            assert doubtful(fitted, model) == (model.members if value == 0.0 else ())
+    monkeypatch.setattr("bough.learn.gap.models.certain.QUIET", 0.0)  # a model that leaves more than noise
+    assert doubtful(fitted, model) == model.members
 
 
 def test_a_false_minimum_of_the_base_raises_no_alarm(tmp_path, monkeypatch):
@@ -204,3 +222,18 @@ def test_a_further_effect_must_pay_where_it_was_not_fitted(small):
 
     assert all(pay(0.2, seed) for seed in range(3))
     assert sum(pay(0.0, seed) for seed in range(8)) < 4
+
+
+@pytest.mark.parametrize(
+    ("gains", "fitted", "borne_out"),
+    [
+        ([4832, 9092, 811, 920, 1018, 2195], 17800, True),  # a set beside a play
+        ([1009, 1602, -1151, -1135, -1938, 1655], 2300, False),  # a steady wind in its place keeps next to nothing
+        ([2554, 1172, 444, 56, 562, 489], 8380, True),  # a loop beside a relaxation keeps 0.63
+        ([5360, -5591, 1006, 3515, 2300, 2087], 11600, False),  # an anisotropic joint for a one-sided one: 0.75, harm
+        ([20, 912, 104, 207, 221, 977], 1630, True),
+    ],
+)
+def test_a_second_effect_may_do_no_harm_where_it_was_not_fitted(gains, fitted, borne_out):
+    """Keep right second effects of generated pairs, take out those that stood in for them; gains as measured."""
+    assert bears_out(gains, fitted) is borne_out

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from bough.learn.cases.case import load_case
+from bough.learn.hidden.joints import hide
 from bough.learn.hidden.joints.friction import Bristle, Coulomb, Drag
 from bough.learn.hidden.joints.hide import SIZES, hide_joints
 from bough.learn.hidden.joints.hysteresis import BoucWen, Relays, Stops, Yielding
@@ -15,6 +16,7 @@ from bough.learn.hidden.joints.plan import joint_plan
 from bough.learn.hidden.joints.rig import Chain, Now, move
 from bough.learn.hidden.joints.rigs import RIGS, draw_rig
 from bough.learn.hidden.joints.springs import Curved, DeadZone, Maxwell, OneSided
+from bough.sim.base.errors import InputError
 from bough.sim.effects import effects
 
 
@@ -197,6 +199,53 @@ def test_a_hidden_law_is_written_with_its_answer(tmp_path, rig, law):
     assert answer["out_of_library"] == (law in OUTSIDE)
     assert SIZES[0] / 1.5 < answer["size_raw"][law] < SIZES[1] * 1.5
     assert 0.0 < answer["visible_gap"] < 1.0
+
+
+def test_efforts_are_those_of_their_samples(tmp_path):
+    """Write what drives a spring at each sample, to the noise of its sensor; half a step later is twice as far off."""
+    hide_joints(tmp_path / "case", rig="spring", laws=(), seed=4)
+    rig = draw_rig("spring", np.random.default_rng([4, 31]))
+    drive = rig.drive(1)
+    late = 0.5 / (rig.rate * rig.steps[1])
+    for r in range(3):
+        time, _, effort = np.loadtxt(tmp_path / "case" / f"run_{r + 1}.csv", delimiter=",", skiprows=1).T
+        at = np.array(
+            [[drive(t + more, np.zeros((3, 1)), np.zeros((3, 1)))[r, 0] for t in time] for more in (0.0, late)]
+        )
+        off = (effort - at).std(axis=1) / effort.std()
+        assert off[0] < 1.2e-3 and off[1] > 2.0 * off[0]  # noise of 10^-3.7 to 10^-3 of the effort
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_every_case_of_a_plan_moves_sanely(tmp_path, seed):
+    """Draw the light arms and the outside laws of plans: finite files, within two turns. One arm's motion diverged."""
+    plan = [s for s in joint_plan(64, seed) if s.rig == "arm" or s.kind == "outside"][:5]
+    assert seed != 5 or any(s.laws == ("winding",) and s.rig == "arm" for s in joint_plan(24, 5))
+    for k, spec in enumerate(plan):
+        hide_joints(tmp_path / f"{k}", **spec.options)
+        for r in range(3):
+            table = np.loadtxt(tmp_path / f"{k}" / f"run_{r + 1}.csv", delimiter=",", skiprows=1)
+            angles = table[:, 1 : 1 + (table.shape[1] - 1) // 2]
+            assert np.isfinite(table).all() and np.abs(angles).max() < 4.0 * np.pi, spec
+
+
+def test_a_light_arm_is_stepped_finely():
+    """Take steps in which no decay of a controlled arm turns by more than 0.3; of 2 a sample, one was unstable."""
+    for seed in range(12):
+        rig = draw_rig("arm", np.random.default_rng([seed, 31]))
+        count = rig.chain.count
+        mass = rig.chain.equations(np.zeros((1, count)), np.zeros((1, count)))[0][0]
+        swift = np.abs(np.linalg.eigvals(np.linalg.solve(mass, np.diag(rig.control[1] + rig.chain.damping)))).max()
+        assert swift / (rig.rate * rig.steps[0]) <= 0.3 and swift / (rig.rate * rig.steps[1]) <= 0.1
+
+
+def test_laws_that_never_move_sanely_are_refused(tmp_path, monkeypatch):
+    """Name rig and law in one line where no draw is sane; nothing is written."""
+    monkeypatch.setattr(hide, "WILD", 0.0)
+    monkeypatch.setattr(hide, "DRAWS", 2)
+    with pytest.raises(InputError, match=r"coulomb.*no finite motion of a swing in 2 draws"):
+        hide_joints(tmp_path / "case", rig="swing", laws=("coulomb",), seed=1)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_seed_makes_the_case(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -12,9 +13,11 @@ import matplotlib
 import numpy as np
 import pytest
 from bough.learn.reports import figures
+from bough.learn.reports.motion import FRAMES, MotionLine, ReportMotion
 from bough.learn.reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, number, write_report
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from oracles.chromium import Chromium
 
 NASTY = '<script>alert("x")</script> & co'
 
@@ -22,7 +25,7 @@ NASTY = '<script>alert("x")</script> & co'
 class Page(HTMLParser):
     """Collect tags, their attributes and the text; complain about tags closed out of order."""
 
-    VOID = ("meta", "img", "br", "link")
+    VOID = ("meta", "img", "br", "link", "input")
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -44,6 +47,15 @@ class Page(HTMLParser):
         self.text.append(data)
 
 
+def swinging(name: str = "line", frames: int = 5, seconds: float = 1.0) -> ReportMotion:
+    """Return a line of two points whose end moves on a circle."""
+    turn = np.linspace(0.0, 1.0, frames)
+    points = np.stack([np.zeros((frames, 2)), np.stack([np.sin(turn), -np.cos(turn)], axis=-1)], axis=1)
+    return ReportMotion(
+        f"Motion {name}", f"Caption {name}", 2.0 + seconds * turn, [MotionLine(f"L {name}", "#123456", points)]
+    )
+
+
 def content(**changes) -> ReportContent:
     """Return a report with something in every section, some of it hostile."""
     drawing = Figure(figsize=(2, 1))
@@ -58,6 +70,10 @@ def content(**changes) -> ReportContent:
         "figures": [ReportFigure("loop.png", drawing, NASTY), ReportFigure("raw.png", figures.png(drawing), "Raw.")],
         "details": {"seed": 0, "note": NASTY, "particles": 48},
         "further": [("posterior.npz", NASTY)],
+        "precisely": NASTY,
+        "exact": [KeyNumber("p", NASTY, "", "text")],
+        "commands": [(f"bough {NASTY}", NASTY)],
+        "motion": swinging(NASTY),
     }
     return ReportContent(**{**fields, **changes})
 
@@ -66,12 +82,27 @@ def test_page_is_complete_and_escaped(tmp_path: Path) -> None:
     """Every text and number appears, once decoded, nothing of it becomes markup, and tags are balanced."""
     page = Page(write_report(tmp_path, content()).read_text(encoding="utf-8"))
     text = " ".join(" ".join(page.text).split())
-    assert not [tag for tag, _ in page.tags if tag == "script"]
+    assert [a.get("type") for tag, a in page.tags if tag == "script"] == ["application/json", None]
     places = ["title", "header", "headline", "explanation", "value", "parameter", "caveat", "caption", "detail"]
-    assert text.count(NASTY) == len([*places, "further"])
+    new = ["precisely", "exact", "command", "what it does", "motion", "its line", "its caption"]
+    assert text.count(NASTY) == len([*places, "further", *new])
     assert [a["alt"] for tag, a in page.tags if tag == "img"] == [NASTY, "Raw."]
+    assert [a["aria-label"] for tag, a in page.tags if tag == "canvas"] == [f"Caption {NASTY}"]
     for part in ("94.8 %", "71.1", "68.0 to 75.5", "N m/rad", "particles", "48", "posterior.npz"):
         assert part in text
+
+
+def test_a_motion_keeps_its_shape() -> None:
+    """Moments start at zero; points are whole steps of one scale, as far apart as the line's; frames are thinned."""
+    told = json.loads(swinging().data)
+    assert told["t"] == pytest.approx(np.linspace(0.0, 1.0, 5)) and told["lines"][0]["name"] == "L line"
+    points = np.array(told["lines"][0]["points"]).reshape(5, 2, 2)
+    length = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
+    np.testing.assert_allclose(length / length[0], 1.0, atol=2.0 / length[0])
+    assert told["start"] == 0 and points.min() == 0 and np.all(points.max(axis=(0, 1)) <= told["size"])
+    assert len(json.loads(swinging(frames=5000).data)["t"]) == FRAMES
+    with pytest.raises(ValueError, match="moments"):
+        ReportMotion("m", "", np.zeros(3), [MotionLine("l", "#000000", np.zeros((2, 2, 2)))])
 
 
 def test_page_loads_nothing_and_holds_its_figures(tmp_path: Path) -> None:
@@ -88,7 +119,7 @@ def test_page_loads_nothing_and_holds_its_figures(tmp_path: Path) -> None:
 @pytest.mark.parametrize("status", ["good", "warning", "bad"])
 def test_headline_comes_first_and_shows_the_status(tmp_path: Path, status: str) -> None:
     """The first heading is the verdict, coloured by its status; sections without content are left out."""
-    bare = content(status=status, parameters=[], figures=[], details={}, further=[])
+    bare = content(status=status, parameters=[], figures=[], details={}, further=[], exact=[], commands=[], motion=None)
     page = Page(write_report(tmp_path, bare).read_text(encoding="utf-8"))
     headings = [(tag, attributes.get("class")) for tag, attributes in page.tags if tag in ("h1", "h2")]
     assert headings == [("h1", status), ("h2", None)]
@@ -192,3 +223,47 @@ def test_coverage_figure_shows_both_curves() -> None:
     ideal, found = drawn.axes[0].lines
     np.testing.assert_allclose(found.get_xydata(), [[50, 40], [95, 90]])
     np.testing.assert_allclose(ideal.get_xydata(), [[0, 0], [100, 100]])
+
+
+# ---- in a browser ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory):
+    """Return a tab with a report of something in every section, whose motion lasts a minute."""
+    folder = tmp_path_factory.mktemp("browser")
+    opened = Chromium(folder / "profile", (1400, 900))
+    page = write_report(folder, content(motion=swinging("one", frames=200, seconds=60.0)))
+    opened.open(page.as_uri())
+    opened.wait("document.querySelector('canvas')?.dataset.frame !== undefined")
+    yield opened
+    opened.close()
+
+
+def test_the_page_works(browser: Chromium) -> None:
+    """Play moves the picture and pauses, the slider sets the frame, the button copies or selects the command."""
+    frame, play = "Number(document.querySelector('canvas').dataset.frame)", "document.querySelector('.motion button')"
+    browser.value(f"{play}.click()")
+    browser.wait(f"{frame} > 1", 20.0)
+    browser.value(f"{play}.click()")
+    assert browser.value(f"{play}.textContent") == "Play"
+    browser.value("s = document.querySelector('.motion input'); s.value = 40; s.dispatchEvent(new Event('input'))")
+    assert browser.value(frame) == 40
+    pixels = "Array.from(document.querySelector('canvas').getContext('2d').getImageData(0, 0, 900, 400).data)"
+    assert browser.value(f"{pixels}.some((x) => x > 0)")
+    browser.value("document.querySelector('button.copy').click()")
+    browser.wait("['Copied', 'Selected'].includes(document.querySelector('button.copy').textContent)", 20.0)
+    assert browser.errors == []
+
+
+@pytest.mark.parametrize("width", [400, 1400])
+def test_nothing_sticks_out_and_no_text_is_small(browser: Chromium, width: int) -> None:
+    """The page is no wider than the window, folds opened, and every text has 14 pixels at least."""
+    browser.call("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
+    browser.value("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+    assert browser.value("document.documentElement.scrollWidth") <= width
+    small = (
+        "[...document.querySelectorAll('body *')].filter((e) => e.innerText && e.tagName !== 'SCRIPT'"
+        " && parseFloat(getComputedStyle(e).fontSize) < 14).map((e) => e.outerHTML.slice(0, 80))"
+    )
+    assert browser.value(small) == []

@@ -13,12 +13,15 @@ import pytest
 import torch
 from bough.cli.evaluate import Evaluate
 from bough.cli.play import Play
-from bough.learn.policies.evaluate import COLUMNS, Row, columns, evaluate, first_episodes, random, table, zero
+from bough.learn.policies.evaluate import Row, columns, evaluate, files_of, first_episodes, random, table, wilson, zero
 from bough.learn.runs.folder import RunFolder
-from bough.learn.tasks.task import METRICS, unseen_seed
+from bough.learn.tasks.measures import CLEARING_COLUMNS
+from bough.learn.tasks.task import unseen_seed
 from bough.sim.base.errors import InputError
 from oracles.reach_task import LENGTH, ReachSettings, registry
 from oracles.train_reach import short_run
+
+COLUMNS = tuple(column.name for column in CLEARING_COLUMNS)
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +44,11 @@ def test_columns_by_hand():
         "breach": torch.tensor([0.0, 0.0, 0.5, 0.1]),
         "steps_clear": torch.tensor([3.0, 40.0, 9.0, 60.0]),
     }
-    found = columns(metrics)
+    found = columns(metrics, CLEARING_COLUMNS)
     assert tuple(found) == COLUMNS
     np.testing.assert_allclose(list(found.values()), [3.0, 50.0, 35.0, 15.0, 50.0], rtol=1e-6)  # float32 shares
     metrics["success"].zero_()
-    assert math.isnan(columns(metrics)["Steps in Succ"])
+    assert math.isnan(columns(metrics, CLEARING_COLUMNS)["Steps in Succ"])
 
 
 def test_mean_and_spread_over_sets():
@@ -63,13 +66,27 @@ def test_mean_and_spread_over_sets():
     assert len(set(map(len, lines))) == 1
 
 
+def test_intervals_of_shares_and_kinds_of_worlds():
+    """Wilson's interval of 8 in 10 is 49.0 to 94.3 %, of 0 in 60 it is 0 to 6.0 %; a kind's trials are its own."""
+    np.testing.assert_allclose(wilson(0.8, 10), (0.4902, 0.9433), atol=1e-4)
+    np.testing.assert_allclose(wilson(0.0, 60), (0.0, 0.0602), atol=1e-4)
+    one = {"SR %": 80.0, "Force N": 3.0}
+    strata = [{"near": (one, 4), "far": (one | {"Force N": 9.0}, 6)}] * 2
+    row = Row("trained", math.nan, 20, [one] * 2, shares=("SR %",), strata=strata)
+    assert "80.0 [58.4, 91.9]" in table([row])
+    far = row.of_stratum("far")
+    assert far.trials == 12 and far.mean("Force N") == 9.0 and far.policy == "trained, far"
+    assert files_of() == ("evaluation.json", "evaluation.md")
+    assert files_of(True, ["forest=Tb"])[0] == "evaluation_all_scenes_forest-Tb.json"
+
+
 def test_first_episode_of_every_world_counts_once():
     """Return what a world's own first episode came to, from the positions, in float64, though worlds go on."""
     t = task()
     t.episode_length_buf.copy_(torch.tensor([0, 5, 19, 0, 12]))  # they end at different times
     start, left = t.x.double().numpy().copy(), np.array([20, 15, 1, 20, 8])
     found = first_episodes(t, zero(t))
-    assert set(found) == set(METRICS)
+    assert set(found) == set(t.metrics)
     np.testing.assert_allclose(found["return"], -(start**2).sum(1) * left, rtol=1e-5)  # float32 sums of 20 numbers
     np.testing.assert_allclose(found["occlusion_drop"], 0.0, atol=1e-6)
 
@@ -151,7 +168,8 @@ def test_policies_of_another_version_are_refused(run, tmp_path):
 def test_film_of_an_episode(run, tmp_path, capsys):
     """Hold a picture of the start and every second step, in real time, the first one of the test set's first world."""
     assert Play(str(run), tmp_path / "film", fps=10.0, device="cpu").run(registry()) == 0
-    assert re.fullmatch(r"reach, \S+: 1.0 s, (not )?cleared, occlusion drop -?\d+ %, 10 pictures. Wrote \S*film.gif\n",
+    assert re.fullmatch(r"reach, \S+: 1.0 s, (no )?success, inside the margin \d+ %, occlusion drop -?\d+ %, "
+                        r"10 pictures. Wrote \S*film.gif\n",
                         capsys.readouterr().out)  # fmt: skip
     with PIL.Image.open(tmp_path / "film" / "film.gif") as film:
         frames = PIL.ImageSequence.Iterator(film)

@@ -8,6 +8,8 @@ import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, replace
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -16,16 +18,21 @@ from bough.cli.evaluate import Evaluate
 from bough.cli.play import Play
 from bough.cli.train import Train
 from bough.learn.policies.ppo_runner import InPlacePPO, Runner
-from bough.learn.policies.ppo_settings import PRESETS, PPOSettings
 from bough.learn.policies.train import LostError, Plan, Trainer, train
 from bough.learn.runs.folder import MODEL, RunFolder
 from bough.learn.runs.processes import Processes
-from bough.learn.tasks.registry import TaskRegistry, plain, settings_from
+from bough.learn.tasks.measures import CLEARING_COLUMNS
+from bough.learn.tasks.ppo_settings import PRESETS, PPOSettings
+from bough.learn.tasks.reach_settings import ReachSettings as TouchSettings
+from bough.learn.tasks.registry import TaskKind, TaskRegistry, plain, settings_from
+from bough.learn.tasks.settings import TaskSettings
 from bough.learn.tasks.task import policy_seed, task_seed, unseen_seed
 from bough.sim.base.errors import InputError
+from bough.sim.base.extras import install_hint
 from bough.sim.wood.posterior import SpringPosterior, Wood
 from oracles.reach_task import LENGTH, Reach, ReachSettings, best_return, registry
 from oracles.train_reach import TINY
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 SMALL = PPOSettings(num_envs=16, iterations=6, horizon=8, hidden=(16,), checkpoint_every=2)
 
@@ -61,6 +68,14 @@ def same(a, b) -> bool:
 def numbers(folder) -> list:
     """Return the rows of metrics.csv without the two columns that are times."""
     return [{k: v for k, v in row.items() if not k.endswith("seconds")} for row in RunFolder(folder).metrics()]
+
+
+def events(folder) -> dict:
+    """Return what TensorBoard shows: iterations and values by tag, without those that are times."""
+    log = EventAccumulator(str(folder / "tensorboard"))
+    log.Reload()
+    tags = [tag for tag in log.Tags()["scalars"] if not tag.startswith("Perf/")]
+    return {tag: [(e.step, np.float32(e.value)) for e in log.Scalars(tag)] for tag in tags}
 
 
 @pytest.fixture(scope="module")
@@ -138,6 +153,47 @@ def test_a_run_cut_after_any_iteration_ends_the_same(whole, tmp_path, monkeypatc
     assert trainer.done == SMALL.iterations
     assert same(states(whole), states(tmp_path / "run"))
     assert numbers(whole) == numbers(tmp_path / "run")
+    assert events(whole) == events(tmp_path / "run")
+
+
+NAMES = {
+    "Train/mean_reward": "return", "Episode/success": "success", "Train/mean_step_reward": "reward",
+    "Loss/value": "value_loss", "Loss/surrogate": "surrogate_loss", "Loss/learning_rate": "learning_rate",
+    "Policy/mean_std": "action_std",
+}  # fmt: skip
+
+
+def test_tensorboard_holds_the_numbers_of_every_iteration(whole, tmp_path):
+    """Find the columns of metrics.csv under rsl-rl's names, as float32; a run without a logger has no such file."""
+    rows, found = RunFolder(whole).metrics(), events(whole)
+    for tag, column in NAMES.items():
+        kept = [(row["iteration"], np.float32(row[column])) for row in rows if row[column] is not None]
+        assert found[tag] == kept, tag
+    train(plan(iterations=1), tmp_path / "run", registry(), logger="none")
+    assert not (tmp_path / "run" / "tensorboard").exists()
+
+
+def test_wandb_gets_what_tensorboard_gets(tmp_path, monkeypatch, tiny):
+    """Hand rsl-rl's writer a service that notes what it is told; refuse W&B in one line where it is not installed."""
+    told, ended = {}, []
+    service = ModuleType("wandb")
+    service.__spec__ = ModuleSpec("wandb", None)
+    service.init = lambda **how: told.update(how)
+    service.log = lambda values, step: told.setdefault(step, {}).update(values)
+    service.config, service.finish = {}, lambda: ended.append(True)
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "wandb", service)
+        patch.setattr("rsl_rl.utils.wandb_log_writer.wandb", service)
+        assert Train("reach", tmp_path / "run", num_envs=8, iterations=2, logger="wandb").run(registry()) == 0
+        assert ended and told["project"] == "bough" and service.config["task"]["name"] == "reach"
+        found = events(tmp_path / "run")
+        assert all(np.float32(told[step][tag]) == value for tag, rows in found.items() for step, value in rows)
+        assert len(found["Loss/value"]) == 2
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    monkeypatch.setattr("bough.learn.policies.run_log.find_spec", lambda name: None)
+    with pytest.raises(InputError, match="--logger: found wandb, which is not installed"):
+        Train("reach", tmp_path / "other", logger="wandb").run(registry())
+    assert not (tmp_path / "other").exists()
 
 
 def test_a_finished_run_can_be_made_longer(whole, tmp_path):
@@ -169,7 +225,7 @@ def test_command_writes_the_run_folder(tmp_path, capsys, tiny):
     assert re.fullmatch(r"reach: 2 iterations, 128 steps, return -?[\d.]+, success [\d.]+ % in training. "
                         r"Open \S*run/report.html\n", said.out)  # fmt: skip
     assert {p.name for p in out.iterdir()} == {"config.json", "metrics.csv", "learning.png", "report.html",
-                                               "checkpoints"}  # fmt: skip
+                                               "checkpoints", "tensorboard"}  # fmt: skip
     config = json.loads((out / "config.json").read_text())
     assert config["task"] == {"name": "reach", "version": 1, "settings": {"groups": ["place"], "start": {"width": 1.0}}}
     assert config["seed"] == 3 and config["ppo"]["num_envs"] == 8 and {"torch", "rsl-rl"} <= set(config["versions"])
@@ -207,7 +263,9 @@ def test_all_commands_take_the_wood_that_a_run_was_begun_with(tmp_path, tiny):
         seen.append(settings)
         return Reach(settings, **arguments)
 
-    tasks = TaskRegistry(("reach",), ("place", "time"), {"cpu": InForest()}, make, lambda s, w, e: replace(s, wood=w))
+    kind = TaskKind(("reach",), ("place", "time"), {"cpu": InForest()}, make, CLEARING_COLUMNS,
+                    of_wood=lambda s, w, e: replace(s, wood=w))  # fmt: skip
+    tasks = TaskRegistry((kind,))
     model.write_text(MODEL_YAML)
     assert Train("reach", out, num_envs=8, iterations=1, model=model, device="cpu").run(tasks) == 0
     assert Train("reach", out, iterations=2, model=model, resume=True).run(tasks) == 0
@@ -225,6 +283,9 @@ def test_runs_from_before_there_was_wood_are_read():
     assert settings_from(InForest, old, "config.json") == InForest()
     with pytest.raises(InputError, match="start: found settings of another version"):
         settings_from(InForest, {k: v for k, v in old.items() if k != "start"}, "config.json")
+    for settings in (TaskSettings(), TouchSettings()):  # all runs had the Jaco before arms had names
+        kept = {k: v for k, v in plain(settings).items() if k != "arm"}
+        assert settings_from(type(settings), kept, "config.json") == settings
 
 
 def test_metrics_are_means_over_finished_episodes(whole):
@@ -415,7 +476,7 @@ def test_says_which_extra_is_missing():
         "        print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
-    assert done.stdout == "bough: found no rsl_rl; allowed: pip install 'bough[train]'\n" * 3
+    assert done.stdout == f"bough: found no rsl_rl; allowed: {install_hint('train')}\n" * 3
 
 
 def test_presets_can_be():

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 import torch
 from bough.cli.train import Train
-from bough.learn.policies.ppo_settings import PRESETS
 from bough.learn.runs.folder import MODEL, RunFolder
+from bough.learn.tasks.ppo_settings import PRESETS
 from oracles.reach_task import registry
 from oracles.train_reach import TINY
 

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
-from bough.kernels.tasks import clearing as kernels
+from bough.kernels.tasks import parts as kernels
 from bough.learn.tasks.clearing import make_task
+from bough.learn.tasks.clearing_parts import clearing_parts
+from bough.learn.tasks.names import CLEARING
 from bough.learn.tasks.overlaps import Overlaps
 from bough.learn.tasks.registry import plain, settings_from
-from bough.learn.tasks.settings import GROUPS, NAMES, PRESETS, TaskSettings, columns_of
-from bough.learn.tasks.task import METRICS
+from bough.learn.tasks.settings import GROUPS, PRESETS, TaskSettings, columns_of
 from bough.sim.base.errors import InputError
 from bough.sim.scenes.scene import SceneSettings
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -68,28 +69,44 @@ def test_reward_is_equation_5_9(env):
         assert env.simulator.qd.abs().max() > 0.1
         h, breach, qd = (x.numpy().astype(float) for x in (env.sensor.occlusion, env.sensor.breach, env.simulator.qd))
         expected = (1 / (1 + h**2)) ** 2 - (qd**2).sum(1) / 100 + 0.4 * (breach == 0)
-        np.testing.assert_allclose(env.step(a)[1].numpy(), expected, atol=2e-6)
+        bits = in_float32(h, breach, qd)
+        found = env.step(a)[1].numpy()
+        np.testing.assert_allclose(found, expected, atol=2e-6)
+        np.testing.assert_array_equal(found, bits)
+
+
+def in_float32(h, breach, qd):
+    """Return equation 5.9 in the order of operations that version 2 of the task has always had, every one rounded."""
+    f = np.float32
+    h, breach, qd = h.astype(f), breach.astype(f), qd.astype(f)
+    share, effort = f(1) / (f(1) + h * h), np.zeros_like(h)
+    for j in range(qd.shape[1]):
+        effort = effort + qd[:, j] * qd[:, j]
+    return share * share - effort / f(100) + f(0.4) * (f(1) - breach)
 
 
 def judged(occlusion, breach=None, longest=100):
     """Run the kernels of judging and closing on given scores [steps, worlds]; return counters and logs by step."""
     n = occlusion.shape[1]
     breach = np.zeros_like(occlusion) if breach is None else breach
-    c, rules = kernels.Counters(), kernels.TaskRules()
-    for name, kind in kernels.Counters.vars.items():
-        setattr(c, name, wp.zeros(n, dtype=kind.type.dtype, device="cpu"))
-    rules.longest, rules.success_steps = longest, 10
+    parts = clearing_parts("powerline", SMALL, 6)
+    clock, own, view, rules = kernels.Clock(), parts.own(), kernels.View(), kernels.Rules()
+    for struct, kinds in ((clock, {k: v.type.dtype for k, v in kernels.Clock.vars.items()}), (own, parts.arrays)):
+        for name, kind in kinds.items():
+            setattr(struct, name, wp.zeros(n, dtype=kind, device="cpu"))
+    rules.longest, rules.reward_scale, own.success_steps = longest, 1.0, 10
     f = lambda *shape: wp.full(shape, np.nan, dtype=wp.float32, device="cpu")  # noqa: E731
     zeros = lambda *shape: wp.zeros(shape, dtype=wp.float32, device="cpu")  # noqa: E731
     slot = wp.array(np.arange(n), dtype=wp.int32, device="cpu")
     done, log, sums = wp.zeros(n, dtype=wp.bool, device="cpu"), f(n, 5), zeros(n, 6)
     alive = wp.full((n, 1, 1, 1), 1.0, dtype=wp.float32, device="cpu")
+    view.clock, view.q, view.qd, composed = clock, zeros(n, 6), zeros(n, 6), parts.kernels()
     rows = []
     for h, b in zip(occlusion, breach, strict=True):
-        scores = [wp.array(x, dtype=wp.float32, device="cpu") for x in (h, b)]
-        wp.launch(kernels.judge, dim=n, inputs=[*scores, zeros(n, 6), rules, c, f(n)], device="cpu")
-        inputs = [alive, slot, zeros(n, 6), zeros(n, 6), rules, c, zeros(1, n, 6), f(n), done, f(n), log, sums]
-        wp.launch(kernels.close, dim=n, inputs=inputs, device="cpu")
+        own.occlusion, own.breach = (wp.array(x, dtype=wp.float32, device="cpu") for x in (h, b))
+        wp.launch(composed.judge, dim=n, inputs=[view, own, rules, f(n)], device="cpu")
+        inputs = [alive, slot, view, own, rules, zeros(1, n, 6), done, f(n), log, sums]
+        wp.launch(composed.close, dim=n, inputs=inputs, device="cpu")
         rows.append((done.numpy().copy(), log.numpy().copy()))
     return rows, sums.numpy()
 
@@ -164,8 +181,7 @@ def test_touch_is_force_above_the_threshold(env):
     env.simulator.arm_force.zero_()
     env.simulator.arm_force[:, 2, 1] = 30.0
     env.simulator.arm_force[4, 5] = torch.tensor([30.0, 0.0, 40.0])
-    y = env._arm
-    env._launch(kernels.feel, y.q, y.qd, y.end_rotation, y.force, env._rules, env._counters, env._first, env._seen)
+    env._launch(env._kernels.feel, env._view, env._own, env._seen)
     touch = env.observation[:, env.columns["touch"]]
     assert touch.tolist() == [float(w == 4) for w in range(WORLDS)]
 
@@ -194,7 +210,7 @@ def test_servo_targets_follow_a_schedule_by_hand(monkeypatch):
     World 1 acts a step late. An action that is held stays, and the next episode starts from standing still.
     """
     env = make(settings=replace(SMALL, action_delay=1, episode_steps=4), worlds=2)
-    wp.to_torch(env._counters.action_delay).copy_(torch.tensor([0, 1]))
+    env._counts["action_delay"].copy_(torch.tensor([0, 1]))
     asked, step = [], env.simulator.step
     monkeypatch.setattr(
         env.simulator, "step", lambda count: (asked.append((count, env.simulator.target.clone())), step(count))
@@ -202,7 +218,7 @@ def test_servo_targets_follow_a_schedule_by_hand(monkeypatch):
     for a in (1.0, -0.5, -0.5, 2.0, 1.0):
         env.step(torch.full((2, 6), a))
         if env.done.all():
-            wp.to_torch(env._counters.action_delay).copy_(torch.tensor([0, 1]))
+            env._counts["action_delay"].copy_(torch.tensor([0, 1]))
     assert [count for count, _ in asked] == [4] * 30
     sixths = np.arange(1, 7) / 6
     rise, fall, still = sixths, 1.0 - 1.5 * sixths, np.full(6, -0.5)
@@ -232,15 +248,15 @@ def test_noise_on_points_changes_no_score():
         assert torch.equal(*(twin.sensor.occlusion for twin in twins))
         assert torch.equal(*(twin.sensor.breach for twin in twins))
         assert not torch.equal(seen[0][:, 87], seen[1][:, 87])
-    assert all(torch.equal(*(twin._extras["log"][name] for twin in twins)) for name in METRICS)
+    assert all(torch.equal(*(twin._extras["log"][name] for twin in twins)) for name in twins[0].metrics)
 
 
 def test_latency_delays_actions_and_observations_by_whole_steps():
     """With delays set by hand, world w acts a_{t-w%3} and sees what world 0 of a twin without delay saw w%3 ago."""
     late = make(settings=replace(SMALL, action_delay=2, observation_delay=2, episode_steps=50))
-    c, delay = late._counters, torch.arange(WORLDS) % 3
-    wp.to_torch(c.observation_delay).copy_(delay)
-    wp.to_torch(c.action_delay).copy_(2 - delay)
+    c, delay = late._counts, torch.arange(WORLDS) % 3
+    c["observation_delay"].copy_(delay)
+    c["action_delay"].copy_(2 - delay)
     limit = torch.tensor(late.simulator.arm.velocity_limit, dtype=torch.float32)
     now = [wp.to_torch(late._warp["now"]).clone()] * 3
     asked = [torch.zeros(WORLDS, 6)] * 3
@@ -296,10 +312,10 @@ def test_episode_log_counts_finished_episodes_once(env):
     env.episode_log()
     run(env, actions(SMALL.episode_steps - 1))
     *_, extras = env.step(torch.zeros(WORLDS, 6))
-    assert env.done.all() and tuple(extras["log"]) == METRICS and (env.time_out == 1).all()
+    assert env.done.all() and tuple(extras["log"]) == env.metrics and (env.time_out == 1).all()
     found = env.episode_log()
     assert found["episodes"] == WORLDS
-    for name in METRICS:
+    for name in env.metrics:
         assert found[name] == pytest.approx(float(extras["log"][name].mean()), rel=1e-5)
     assert env.episode_log() == {"episodes": 0.0}
 
@@ -497,7 +513,7 @@ def test_every_world_of_a_preset_has_a_tree_of_its_own(preset):
 def test_settings_survive_json():
     for settings in (*PRESETS.values(), SMALL):
         assert settings_from(TaskSettings, plain(settings), "test") == settings
-        for name in NAMES:
+        for name in CLEARING:
             assert columns_of(settings.of(name), 6)[1] == 88
 
 

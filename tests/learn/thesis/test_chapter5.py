@@ -12,12 +12,14 @@ import torch
 import tyro
 from bough.cli.reproduce import Reproduce
 from bough.learn.policies import train_report
-from bough.learn.policies.ppo_settings import PRESETS as PPO
 from bough.learn.policies.train import Trainer
 from bough.learn.runs.folder import RunFolder
 from bough.learn.tasks.clearing import make_task
-from bough.learn.tasks.registry import TaskRegistry
-from bough.learn.tasks.settings import GROUPS, NAMES, PRESETS, TaskSettings, columns_of
+from bough.learn.tasks.measures import CLEARING_COLUMNS
+from bough.learn.tasks.names import CLEARING
+from bough.learn.tasks.ppo_settings import PRESETS as PPO
+from bough.learn.tasks.registry import TaskKind, TaskRegistry
+from bough.learn.tasks.settings import GROUPS, PRESETS, TaskSettings, columns_of
 from bough.learn.thesis.chapter5 import embedding
 from bough.learn.thesis.chapter5.findings import Interval, interval
 from bough.learn.thesis.chapter5.pointnet import PointNet
@@ -61,15 +63,18 @@ class PointTask(Reach):
 
 def points():
     """Return a registry in which every task is the point mass."""
-    return TaskRegistry(
-        NAMES, GROUPS, {"cpu": PointSettings()}, lambda name, settings, **how: PointTask(settings, **how)
-    )
+    return one_kind({"cpu": PointSettings()}, lambda name, settings, **how: PointTask(settings, **how))
+
+
+def one_kind(presets, make=make_task):
+    """Return a registry of the clearing tasks alone."""
+    return TaskRegistry((TaskKind(CLEARING, GROUPS, presets, make, CLEARING_COLUMNS),))
 
 
 def small():
     """Return a registry of the real task with two trees and episodes of four steps."""
     settings = TaskSettings(scene=SceneSettings(distinct=2), episode_steps=4, success_steps=2)
-    return TaskRegistry(NAMES, GROUPS, {"cpu": settings}, make_task)
+    return one_kind({"cpu": settings})
 
 
 def command(out, *options):
@@ -84,7 +89,7 @@ def command(out, *options):
 
 def test_rows_see_what_the_thesis_says():
     """By hand from table 5.1: 16 + 1 numbers in (a), 6 local ones, 1 of touch, 64 of the embeddings: 88 in all."""
-    registry = TaskRegistry(NAMES, GROUPS, PRESETS, make_task)
+    registry = one_kind(PRESETS)
     widths = [columns_of(Options().settings(row.run, registry), 6)[1] for row in TABLE_5_2]
     assert widths == [17, 23, 24, 87, 88, 88]
     assert [Options().settings(row.run, registry).max_noise[1] for row in TABLE_5_2] == [0.02] * 5 + [0.005]
@@ -104,7 +109,7 @@ def test_runs_of_table_and_figure_are_shared():
     assert TABLE_5_2[-1].run.name == "all-0.005-seed0"
     three = Options(seed=7).runs
     assert len(three) == 51 and [run.repeat for run in three] == [0] * 17 + [1] * 17 + [2] * 17
-    registry = TaskRegistry(NAMES, GROUPS, PRESETS, make_task)
+    registry = one_kind(PRESETS)
     plans = [Options(seed=7).plan(run, registry) for run in list(three)[::17]]
     assert [plan.seed for plan in plans] == [7, 8, 9] and len({plan.settings for plan in plans}) == 1
     assert [len(Options().policies(replace(TABLE_5_2[-1].run, repeat=k))) for k in range(3)] == [2, 0, 0]
@@ -157,7 +162,8 @@ def no_timing(monkeypatch, sensors):
     monkeypatch.setattr(embedding, "WORLDS", (3, 1))
     monkeypatch.setattr(embedding, "_REPEATS", {embedding.KERNELS: 2, embedding.LEARNT: 1})
     measure = embedding.measure
-    registry = replace(small(), make=lambda *_, num_envs, **__: sensors[num_envs])
+    kind = replace(small().of("powerline"), make=lambda *_, num_envs, **__: sensors[num_envs])
+    registry = TaskRegistry((kind,))
     monkeypatch.setattr(embedding, "measure", lambda task, settings, _, **how: measure(task, settings, registry, **how))
 
 

@@ -17,6 +17,7 @@ import warp as wp
 from bough.kernels.contact.look import capsule_kernel
 from bough.kernels.contact.reset_arm import reset_arm_kernel
 from bough.kernels.contact.step import contact_step_kernel
+from bough.kernels.tree.exchange import exchange_kernels
 from bough.kernels.tree.rollout import rollout_kernels
 from bough.sim.engine.forest_effects import forest_terms
 from bough.sim.engine.model import Model
@@ -94,7 +95,9 @@ def test_newton_solver_keeps_its_bits_in_the_memory_order_of_a_gpu(monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp for macOS is built without CUDA")
-@pytest.mark.parametrize("kernel", [*vars(rollout_kernels(1, 32)).values(), newton_exchange.read_state])
+@pytest.mark.parametrize("kernel", [
+    *vars(rollout_kernels(1, 32)).values(), newton_exchange.read_state, exchange_kernels(32).set_qpos,
+])  # fmt: skip
 def test_kernels_compile_for_a_gpu(kernel, tmp_path):
     """Compile the kernels that replay trajectories and serve Newton to an H200's machine code, without a GPU."""
     (binary,) = wp.compile_aot_module(kernel.module, arch=90, module_dir=tmp_path, use_ptx=False)

@@ -254,13 +254,14 @@ def test_a_pivoted_tree_keeps_its_angular_momentum_to_round_off():
 
 
 def test_impulses_change_momentum_by_exactly_themselves():
-    """Drop a floating tree for a second while a force pulls at one link: it gains (m g + F) t and nothing else."""
+    """Drop a floating tree for a second while a force and a torque act on links: it gains (m g + F) t, nothing else."""
     tree, rng = free_tree(6), np.random.default_rng(7)
     simulator = Simulator(Model([tree], precision=64), dt=1 / 240)
     simulator.state.set_qvel(rng.normal(0.0, 1.0, tree.num_dofs))
     place = int(simulator.model.link_place[7])
     force = np.array([1.0, -2.0, 3.0])
     simulator.load.force.torch[..., place, :] = torch.as_tensor(force)
+    simulator.load.torque.torch[..., place, :] = torch.as_tensor([0.01, 0.0, 0.02])
     before = simulator.energy()[1][0].copy()
     simulator.step(240)
     gained = simulator.energy()[1][0][0] - before[0]

@@ -1,0 +1,71 @@
+"""Nuisance columns: linear changes of the simulation that no model is asked about, under normal priors.
+
+What a branch's file says of its geometry and of its sensors is a little wrong, and its wood bends. To first order the
+simulation changes by a @ columns, a normal with known mean and deviation one. The cost of a model is least over a:
+equal, up to a constant, to a normal likelihood whose covariance is that of the noise plus columns^T columns. So a
+model is charged for geometry that it needs to be wrong, in deviations squared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+
+
+@dataclass(frozen=True)
+class Nuisances:
+    """M nuisance parameters that all models of a case share.
+
+    Attributes:
+        columns: Whitened change of the channels by one prior deviation of each, shape [M, R, T C].
+        mean: Prior means in deviations, shape [M].
+        names: What each is, length M.
+    """
+
+    columns: torch.Tensor
+    mean: torch.Tensor
+    names: tuple[str, ...]
+
+    @cached_property
+    def _gram(self) -> torch.Tensor:
+        """Products of the columns in each recording, [R, M, M]."""
+        by_recording = self.columns.transpose(0, 1)
+        return by_recording @ by_recording.transpose(1, 2)
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    @property
+    def flat(self) -> torch.Tensor:
+        """Columns over all samples, shape [M, N]."""
+        return self.columns.flatten(1)
+
+    def change(self, found: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+        """Return the change of the channels by coefficients [S, M] in recordings weighted [S, R], shape [S, N]."""
+        whole = (found @ self.flat).view(len(found), *self.columns.shape[1:])
+        return (whole * weight[:, :, None]).flatten(1)
+
+    def along(self, rows: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+        """Return products of weighted rows [S, P, N] with the columns as weighted by ``weight`` [S, R], [S, P, M]."""
+        if bool((weight == 1.0).all()):
+            return rows @ self.flat.T
+        split = rows.view(*rows.shape[:2], *self.columns.shape[1:]) * weight[:, None, :, None]
+        return split.flatten(2) @ self.flat.T
+
+    def precision(self, weight: torch.Tensor, overdispersion: float) -> torch.Tensor:
+        """Return the precision of the coefficients given the data and the prior, [S, M, M]."""
+        own = torch.einsum("sr,rij->sij", weight**2, self._gram)
+        return own + overdispersion * torch.eye(len(self), dtype=own.dtype, device=own.device)
+
+
+def none_of(like: torch.Tensor) -> Nuisances:
+    """Return no nuisances, for measured channels [R, T, C]."""
+    return Nuisances(like.new_zeros(0, len(like), like[0].numel()), like.new_zeros(0), ())
+
+
+def joined(parts: list[Nuisances]) -> Nuisances:
+    """Return several sets as one."""
+    return Nuisances(torch.cat([p.columns for p in parts]), torch.cat([p.mean for p in parts]),
+                     tuple(n for p in parts for n in p.names))  # fmt: skip

@@ -1,0 +1,63 @@
+"""What an arm is to the service: one class of three methods, which twins, drivers and bridges have.
+
+A backend of your own is any class with these methods and the attribute; hand it to `learn.robot.serve.serve`. All are
+called from the control loop's thread, 60 times a second, and none may wait: a read returns the newest sample there is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from ...sim.base.types import Array
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One measurement of an arm of D joints.
+
+    Attributes:
+        time: When it was measured, on the clock of `time.monotonic` [s].
+        q: Joint positions [rad], [D].
+        qd: Joint speeds [rad/s], [D].
+        torque: Joint torques without what carries the arm's own weight [N m], [D].
+        hand_position: Of the end-effector in the base frame [m], [3].
+        hand_rotation: Its orientation, w, x, y, z, [4].
+    """
+
+    time: float
+    q: Array
+    qd: Array
+    torque: Array
+    hand_position: Array
+    hand_rotation: Array
+
+
+class Backend(Protocol):
+    """An arm.
+
+    Attributes:
+        num_dofs: Number of joints D.
+    """
+
+    num_dofs: int
+
+    def read(self, now: float) -> Sample | None:
+        """Return the newest measurement, None where there is none yet; raise where the arm is lost.
+
+        Args:
+            now: The clock of `time.monotonic` [s].
+        """
+        ...
+
+    def send(self, velocity: Array) -> None:
+        """Ask the arm for joint speeds [rad/s], [D], until the next call; raise where that cannot be done.
+
+        An arm whose driver does not stand still by itself when calls stay out for 0.1 s needs a watchdog of its own:
+        nothing in the service survives its process.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of the arm. The last speeds sent were zero."""
+        ...
