@@ -231,7 +231,7 @@ def test_pages_show_what_was_measured(page):
 
 
 def test_every_block_stands_on_one_page():
-    """Show each block once, and again what the comparison with other simulators shows; trees' speed is in the README."""
+    """Show each block once, and again what the comparison shows; trees' speed is in the README."""
     shown = {page.name: tables.names_in(page.read_text()) for page in tables.pages()}
     assert shown.pop("comparison.md") == ["tree", "contact", "identification"]
     assert sorted(name for names in shown.values() for name in names) == sorted(["declared", "bounds", *tables.BLOCKS])

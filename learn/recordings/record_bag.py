@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from ...sim.base.console import uninterrupted
 from ...sim.base.errors import InputError
 from ...sim.base.extras import install_hint
 from ...sim.base.files import check_output
@@ -163,14 +164,15 @@ def record(
     begin = last = float(first[0]["time_s"])
     cut_off = True
     with BagRecorder(out) as bag:
-        ready(out)
         try:
+            ready(out)
             for tick, received in itertools.chain([first], stream):
                 if seconds is not None and float(tick["time_s"]) - begin > seconds:
                     cut_off = False
                     break
-                bag.add(tick, received)
-                last = float(tick["time_s"])
+                with uninterrupted():  # a tick is both of its messages, counted
+                    bag.add(tick, received)
+                    last = float(tick["time_s"])
         except KeyboardInterrupt:
             cut_off = False
     return Recorded(bag.ticks, bag.missed, last - begin, cut_off)

@@ -18,22 +18,30 @@ from typing import Any
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Put Ctrl-C off until the block is done.
+    """Put Ctrl-C off until the block is done, and SIGTERM where it is taken as Ctrl-C.
 
-    Compiled modules turn it into another error, or lose it, where it comes while they are imported or call back.
+    Compiled modules turn it into another error, or lose it, where it comes while they are imported or call back; and
+    what is written in steps that belong together must not end between them.
     """
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or before in (signal.SIG_IGN, None):
-        yield
-        return
+    held = _handlers() if threading.current_thread() is threading.main_thread() else {}
     pressed: list[int] = []
-    signal.signal(signal.SIGINT, lambda number, _frame: pressed.append(number))
+    for number in held:
+        signal.signal(number, lambda caught, _frame: pressed.append(caught))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in held.items():
+            signal.signal(number, handler)
     if pressed:
         raise KeyboardInterrupt
+
+
+def _handlers() -> dict[int, Any]:
+    """Return the handlers of the signals that end a command as Ctrl-C does."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    return {number: handler for number, handler in handlers.items()
+            if handler is signal.default_int_handler
+            or (number == signal.SIGINT and handler not in (signal.SIG_IGN, None))}  # fmt: skip
 
 
 @contextmanager

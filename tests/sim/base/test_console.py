@@ -23,6 +23,23 @@ def test_ctrl_c_waits_for_the_end_of_the_block():
         pass
 
 
+def test_sigterm_waits_only_where_it_is_taken_as_ctrl_c():
+    """Hold SIGTERM back where its handler raises KeyboardInterrupt, and leave another handler alone."""
+    before, others, done = signal.getsignal(signal.SIGTERM), [], []
+    try:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        with pytest.raises(KeyboardInterrupt), uninterrupted():
+            os.kill(os.getpid(), signal.SIGTERM)
+            done.append(True)
+        assert done and signal.getsignal(signal.SIGTERM) is signal.default_int_handler
+        signal.signal(signal.SIGTERM, lambda number, _frame: others.append(number))
+        with uninterrupted():
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert others == [signal.SIGTERM]
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def test_an_error_of_the_block_is_not_hidden():
     """Let an error through, Ctrl-C or not."""
     with pytest.raises(ValueError, match="mine"), uninterrupted():
