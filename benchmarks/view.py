@@ -105,7 +105,8 @@ def browse(page, scene: Living, size: str, seconds: float) -> float:
 
     width, height = map(int, size.split("x"))
     loop = Loop(page, scene)
-    thread = threading.Thread(target=loop.run)
+    ended = threading.Event()
+    thread = threading.Thread(target=loop.run, args=(ended.is_set,))
     thread.start()
     browser = Chromium(Path(tempfile.mkdtemp()), (width, height))
     try:
@@ -121,7 +122,7 @@ def browse(page, scene: Living, size: str, seconds: float) -> float:
         return each
     finally:
         browser.close()
-        loop.stop()
+        ended.set()
         thread.join()
 
 

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import tyro
 
-from ..sim.base.console import warn
+from ..sim.base.console import dropped_ctrl_c_raised_again, warn
 from ..sim.base.errors import InputError
 from ..version import __version__
 from .check_law import CheckLaw
@@ -78,7 +78,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     config = (tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone)
     command: Command = tyro.cli(Command, args=given, prog="bough", description=_DESCRIPTION, config=config)
     try:
-        return _run(command)
+        with dropped_ctrl_c_raised_again():
+            return _run(command)
     except InputError as error:
         print(f"bough: {error}", file=sys.stderr)
         return ExitCode.BAD_INPUT

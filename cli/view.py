@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, cast
 
 import tyro
 
-from ..sim.base.console import bar, shown, start_warp
+from ..sim.base.console import bar, first_ctrl_c_told, shown, start_warp
 from ..sim.base.errors import InputError
 from .exit_codes import ExitCode
 
@@ -27,8 +27,9 @@ class View:
 
     A forest or a tree's file moves, with sliders and a pull by mouse; a simulation is played; a case is shown with what
     a model makes of it, before and after the repair of a diagnosis, or as a cloud of branches of a posterior; a policy
-    acts. The page is served on this machine alone until Ctrl-C; over SSH the second printed line forwards it. Needs
-    pip install -e '.[view]' in bough's folder. Exit code 0: done; 2: bad input.
+    acts. The page is served on this machine alone until Ctrl-C (a second one does not wait for a scene that is still
+    being built); over SSH the second printed line forwards it. Needs pip install -e '.[view]' in bough's folder. Exit
+    code 0: done; 2: bad input.
 
     Attributes:
         path: What to show.
@@ -67,8 +68,9 @@ class View:
                     size = export(page, scene, self.export)
                 print(f"{scene.seconds:.1f} s of motion, {size / 2**20:.1f} MiB: {shown(self.export)}")
                 return ExitCode.DONE
-            print(directions(page.port), flush=True)
-            Loop(page, build(page)).run()
+            with first_ctrl_c_told() as ended:  # the page's own threads wait for locks that the scene holds
+                print(directions(page.port), flush=True)
+                Loop(page, build(page)).run(ended)
         except KeyboardInterrupt:
             if self.export is not None:
                 raise

@@ -45,6 +45,53 @@ def _handlers() -> dict[int, Any]:
 
 
 @contextmanager
+def first_ctrl_c_told() -> Iterator[Callable[[], bool]]:
+    """Yield what tells whether Ctrl-C was pressed in the block; only a second one raises ``KeyboardInterrupt``.
+
+    For loops that share locks with other threads: an exception in the midst of them may leave one locked. Does nothing
+    outside of a process's main thread, and where Ctrl-C is ignored.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    taken = threading.current_thread() is threading.main_thread() and before is signal.default_int_handler
+    pressed: list[int] = []
+
+    def note(number: int, _frame: object) -> None:
+        pressed.append(number)
+        signal.signal(signal.SIGINT, before)
+
+    if taken:
+        signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: bool(pressed)
+    finally:
+        if taken:
+            signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def dropped_ctrl_c_raised_again() -> Iterator[None]:
+    """Send Ctrl-C again, in the block, where Python dropped it.
+
+    ``KeyboardInterrupt`` that comes up while an object is finalised or native code calls back is printed and forgotten
+    (`sys.unraisablehook`), and the command would go on.
+    """
+    before = sys.unraisablehook
+
+    def hook(dropped: sys.UnraisableHookArgs) -> None:
+        if not issubclass(dropped.exc_type, KeyboardInterrupt):
+            return before(dropped)
+        again = threading.Timer(0.01, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
+        again.daemon = True
+        again.start()  # a little later, when what drops it is over
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+
+
+@contextmanager
 def bar(text: str, total: int | None) -> Iterator[Callable[[int], None]]:
     """Show a progress bar on stderr while the block runs; yield the function that advances it by so many.
 

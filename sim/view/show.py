@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -30,7 +30,7 @@ class Scene(Protocol):
 
 
 class Loop:
-    """Draws a scene for whoever has the page open, until it is stopped.
+    """Draws a scene for whoever has the page open.
 
     Attributes:
         rate: Frames a second, averaged over about a second.
@@ -38,23 +38,18 @@ class Loop:
 
     def __init__(self, page: Page, scene: Scene) -> None:
         self.page, self.scene, self.rate = page, scene, 0.0
-        self._stop = threading.Event()
 
-    def stop(self) -> None:
-        """Let `run` end."""
-        self._stop.set()
-
-    def run(self) -> None:
-        """Draw frames while somebody looks."""
+    def run(self, ended: Callable[[], bool]) -> None:
+        """Draw frames while somebody looks, until ``ended`` returns True; it is asked before every frame."""
         last = time.perf_counter()
-        while not self._stop.is_set():
+        while not ended():
             begun = time.perf_counter()
             if self.page.server.get_clients():
                 with self.page.server.atomic():
                     self.scene.tick(min(begun - last, _LONGEST))
                 self.rate += (1.0 / max(begun - last, 1e-3) - self.rate) / FRAMES
             last = begun
-            self._stop.wait(max(0.0, 1.0 / FRAMES - (time.perf_counter() - begun)))
+            time.sleep(max(0.0, 1.0 / FRAMES - (time.perf_counter() - begun)))
 
 
 def export(page: Page, scene: Scene, path: Path, fps: float = FRAMES) -> int:

@@ -9,7 +9,7 @@ import time
 
 import pytest
 from bough.sim.base import console
-from bough.sim.base.console import bars, meanwhile, uninterrupted
+from bough.sim.base.console import bars, dropped_ctrl_c_raised_again, first_ctrl_c_told, meanwhile, uninterrupted
 
 
 def test_ctrl_c_waits_for_the_end_of_the_block():
@@ -38,6 +38,47 @@ def test_sigterm_waits_only_where_it_is_taken_as_ctrl_c():
             assert others == [signal.SIGTERM]
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def test_a_first_ctrl_c_is_told_and_a_second_raised():
+    """Go on at the first and say so; raise at the second; leave the handler as it was, an ignored one too."""
+    before, done = signal.getsignal(signal.SIGINT), []
+    with pytest.raises(KeyboardInterrupt), first_ctrl_c_told() as ended:
+        assert not ended()
+        signal.raise_signal(signal.SIGINT)
+        done.append(ended())
+        signal.raise_signal(signal.SIGINT)
+    assert done == [True] and signal.getsignal(signal.SIGINT) is before
+    try:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        with first_ctrl_c_told() as ended:
+            signal.raise_signal(signal.SIGINT)
+            assert not ended() and signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_that_python_drops_comes_again():
+    """Raise Ctrl-C that fell into a finaliser, once it is over; leave other dropped errors to the hook before."""
+
+    class Mortal:
+        def __init__(self, end):
+            self.end = end
+
+        def __del__(self):
+            self.end()
+
+    before, heard = sys.unraisablehook, []
+    try:
+        sys.unraisablehook = heard.append
+        with pytest.raises(KeyboardInterrupt), dropped_ctrl_c_raised_again():
+            Mortal(lambda: int("no number"))
+            Mortal(lambda: signal.raise_signal(signal.SIGINT))
+            time.sleep(60.0)
+        assert [dropped.exc_type for dropped in heard] == [ValueError]
+        assert sys.unraisablehook == heard.append
+    finally:
+        sys.unraisablehook = before
 
 
 def test_an_error_of_the_block_is_not_hidden():

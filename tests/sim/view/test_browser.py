@@ -63,7 +63,8 @@ def wooden(picture: np.ndarray) -> np.ndarray:
 def test_a_slider_and_the_mouse_move_a_branch(scene, browser, tmp_path):
     """Press keys on the wind's slider, then drag the rod: it bends on the server and in the picture; no errors."""
     loop = Loop(scene.page, scene)
-    thread = threading.Thread(target=loop.run)
+    ended = threading.Event()
+    thread = threading.Thread(target=loop.run, args=(ended.is_set,))
     thread.start()
 
     def tip() -> np.ndarray:
@@ -90,7 +91,7 @@ def test_a_slider_and_the_mouse_move_a_branch(scene, browser, tmp_path):
         browser.mouse("mouseReleased", 250, 100)
         until(lambda: not scene.pull.force.any())
     finally:
-        loop.stop()
+        ended.set()
         thread.join()
     assert [e for e in browser.errors if VISERS not in e] == []
 
