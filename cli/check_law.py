@@ -9,7 +9,7 @@ import tyro
 
 from ..sim.base.console import bar, start_warp, tell
 from ..sim.base.errors import InputError
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 
 @dataclass(frozen=True)

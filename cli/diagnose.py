@@ -12,7 +12,7 @@ from ..learn.gap import TOLERANCE
 from ..sim.base.console import bars, shown, start_warp, tell, warn
 from ..sim.base.errors import check_seed
 from ..sim.base.files import check_output
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from ..learn.tasks.registry import TaskRegistry, known_tasks
 from ..learn.tasks.task import require_rsl_rl
 from ..sim.base.console import bar, shown, start_warp, tell
 from ..sim.base.errors import InputError
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 
 @dataclass(frozen=True)

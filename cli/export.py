@@ -12,7 +12,7 @@ from ..learn.tasks.task import require_rsl_rl
 from ..sim.base.console import shown, tell
 from ..sim.base.errors import InputError
 from ..sim.base.files import output_folder
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from ..sim.base.errors import InputError, check_seed
 from ..sim.base.extras import install_hint
 from ..sim.base.files import output_folder
 from ..sim.base.host import check_memory
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from ..sim.trees.tree import Tree

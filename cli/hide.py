@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..sim.base.console import bar, shown, tell
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 
 @dataclass(frozen=True)

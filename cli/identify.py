@@ -10,7 +10,7 @@ import tyro
 
 from ..learn.samplers.registry import SAMPLERS
 from ..sim.base.console import bars, shown, start_warp, tell, warn
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 
 @dataclass(frozen=True)

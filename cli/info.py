@@ -12,7 +12,7 @@ from importlib.util import find_spec
 
 from ..sim.base.console import bar, start_warp, tell
 from ..sim.base.plugins import distribution_of, fault_of, points
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 _PACKAGES = ("warp-lang", "numpy", "torch", "newton", "mujoco")
 _EXTRAS = {"train": "rsl_rl", "gym": "gymnasium", "taichi": "taichi", "usd": "pxr"}

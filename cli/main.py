@@ -16,20 +16,20 @@ import tyro
 from ..sim.base.console import dropped_ctrl_c_raised_again, warn
 from ..sim.base.errors import InputError
 from ..version import __version__
+from .base.exit_codes import ExitCode
 from .check_law import CheckLaw
 from .diagnose import Diagnose, Exam
 from .evaluate import Evaluate
-from .exit_codes import ExitCode
 from .export import Export
 from .forest import Forest
 from .hide import Hide
 from .identify import Identify
 from .info import Info
 from .play import Play
-from .recordings import ImportCase, NewCase, Record
 from .replay import Replay
 from .reproduce import Reproduce
-from .robot import Robot
+from .robots.recordings import ImportCase, NewCase, Record
+from .robots.robot import Robot
 from .simulate import Simulate, simulate_case
 from .touch import Touch
 from .train import Train

@@ -15,7 +15,7 @@ from ..learn.tasks.task import require_rsl_rl, unseen_seed
 from ..sim.base.console import bar, shown, start_warp, tell
 from ..sim.base.errors import InputError, check_seed
 from ..sim.base.files import output_folder
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from ..learn.policies.evaluate import Policy

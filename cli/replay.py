@@ -10,7 +10,7 @@ import tyro
 
 from ..sim.base.console import start_warp, tell
 from ..sim.base.errors import InputError
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from ..sim.engine.last_states import Fault

@@ -14,7 +14,7 @@ from ..learn.tasks.ppo_settings import Preset, preset_of
 from ..learn.tasks.registry import TaskRegistry, known_tasks
 from ..learn.tasks.task import require_rsl_rl
 from ..sim.base.console import bars, shown, start_warp, tell, warn
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from ..sim.base.errors import InputError, check_seed
 from ..sim.base.files import check_output, check_regular, output_folder, read_text
 from ..sim.engine.stepping import Stepping
 from ..sim.formats.load import load_mechanism
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from ..learn.cases.case import BranchCase, JointCase

@@ -11,7 +11,7 @@ import tyro
 from ..sim.base.console import bar, shown, start_warp, tell
 from ..sim.base.errors import InputError, check_seed
 from ..sim.base.files import check_output, output_folder
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 MODEL = "model.npz"
 _JOINTS = 6  # of the simulated arm

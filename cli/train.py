@@ -17,7 +17,7 @@ from ..learn.tasks.task import require_rsl_rl
 from ..sim.arms.registry import ARMS
 from ..sim.base.console import bar, shown, start_warp, tell, warn
 from ..sim.base.errors import InputError, check_seed
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from ..learn.policies.train import Plan, Trainer

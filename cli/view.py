@@ -11,7 +11,7 @@ import tyro
 
 from ..sim.base.console import bar, first_ctrl_c_told, shown, start_warp
 from ..sim.base.errors import InputError
-from .exit_codes import ExitCode
+from .base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from ..learn.tasks.assembled import AssembledTask

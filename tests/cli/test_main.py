@@ -5,7 +5,7 @@ import sys
 
 import pytest
 from bough.cli import main as module
-from bough.cli.exit_codes import ExitCode
+from bough.cli.base.exit_codes import ExitCode
 from bough.cli.info import Info
 
 

@@ -14,7 +14,7 @@ import bough.learn.recordings
 import numpy as np
 import pytest
 import yaml
-from bough.cli.recordings import ImportCase, NewCase, flag_helps
+from bough.cli.robots.recordings import ImportCase, NewCase, flag_helps
 from bough.learn.cases.case import load_case
 from oracles.branch_case import make_branch_case
 

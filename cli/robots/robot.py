@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 import yaml
 
-from ..sim.base.console import shown, start_warp, tell, warn
-from ..sim.base.errors import InputError, check_seed
-from .exit_codes import ExitCode
+from ...sim.base.console import shown, start_warp, tell, warn
+from ...sim.base.errors import InputError, check_seed
+from ..base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from ..learn.robot.backend import Backend
-    from ..learn.robot.touch import Feeler
-    from ..sim.arms.arm import Arm
+    from ...learn.robot.backend import Backend
+    from ...learn.robot.touch import Feeler
+    from ...sim.arms.arm import Arm
 
 Wrist = Literal["curved", "spherical"]
 
@@ -75,11 +75,11 @@ class Serve:
         check_seed("robot serve", self.seed)
         if not 0.0 <= self.away <= 1000.0:
             raise InputError("robot serve", "--away", f"{self.away:g}", "0 to 1000 m")
-        from ..learn.robot.access import is_loopback, read_token
-        from ..learn.robot.app import check_app
-        from ..learn.robot.limits import default_limits, read_limits
-        from ..learn.robot.serve import Address, serve
-        from ..sim.arms.jaco2 import jaco2
+        from ...learn.robot.access import is_loopback, read_token
+        from ...learn.robot.app import check_app
+        from ...learn.robot.limits import default_limits, read_limits
+        from ...learn.robot.serve import Address, serve
+        from ...sim.arms.jaco2 import jaco2
 
         check_app()
         arm = jaco2(self.wrist)
@@ -96,8 +96,8 @@ class Serve:
         return ExitCode.DONE
 
     def _feeler(self, arm: Arm) -> Feeler | None:
-        from ..learn.robot.touch import Feeler
-        from ..learn.touch.model import read_model
+        from ...learn.robot.touch import Feeler
+        from ...learn.touch.model import read_model
 
         if self.touch is None:
             return None
@@ -108,14 +108,14 @@ class Serve:
 
     def _arm(self, arm: Arm) -> Backend:
         if self.backend == "rosbridge":
-            from ..learn.robot.rosbridge import RosBridge
+            from ...learn.robot.rosbridge import RosBridge
 
             host, colon, port = self.rosbridge.rpartition(":")
             if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
                 raise InputError("robot serve", "--rosbridge", f"'{self.rosbridge}'", "HOST:PORT")
             return RosBridge(arm, host, int(port), self.driver, name=self.robot_name, joints=self.joints)
-        from ..learn.robot.twin import Twin
-        from ..sim.engine.effect_words import read_effects
+        from ...learn.robot.twin import Twin
+        from ...sim.engine.effect_words import read_effects
 
         return Twin(arm, seed=self.seed, away=self.away, effects=read_effects(self.effect))
 
@@ -138,8 +138,8 @@ class PrintLimits:
 
     def run(self) -> int:
         """Print; return 0."""
-        from ..learn.robot.limits import default_limits, written
-        from ..sim.arms.jaco2 import jaco2
+        from ...learn.robot.limits import default_limits, written
+        from ...sim.arms.jaco2 import jaco2
 
         text = written(default_limits(jaco2(self.wrist)))
         tell(text, {key: _finite(value) for key, value in yaml.safe_load(text).items()}, self.json)

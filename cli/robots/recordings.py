@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from ..sim.base.console import shown, tell, warn
-from ..sim.base.errors import InputError
-from .exit_codes import ExitCode
+from ...sim.base.console import shown, tell, warn
+from ...sim.base.errors import InputError
+from ..base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from ..learn.cases.case import BranchCase, JointCase
-    from ..learn.recordings.questions import Asker
+    from ...learn.cases.case import BranchCase, JointCase
+    from ...learn.recordings.questions import Asker
 
 
 @dataclass(frozen=True)
@@ -122,9 +122,9 @@ class NewCase:
 
     def run(self) -> int:
         """Make the case, say what was guessed and assumed; return the exit code."""
-        from ..learn.recordings.given import Given
-        from ..learn.recordings.new_case import new_case
-        from ..learn.recordings.questions import Asker
+        from ...learn.recordings.given import Given
+        from ...learn.recordings.new_case import new_case
+        from ...learn.recordings.questions import Asker
 
         if not self.csv:
             raise InputError("new-case", "CSV", "no file", "one or more CSV files of force and motion")
@@ -223,11 +223,11 @@ class ImportCase:
 
     def run(self) -> int:
         """Make the case, say what was assumed; return the exit code."""
-        from ..learn.recordings.bag_force import BagGiven
-        from ..learn.recordings.given import Given
-        from ..learn.recordings.import_case import import_case
-        from ..learn.recordings.questions import Asker
-        from ..sim.arms.registry import ARMS
+        from ...learn.recordings.bag_force import BagGiven
+        from ...learn.recordings.given import Given
+        from ...learn.recordings.import_case import import_case
+        from ...learn.recordings.questions import Asker
+        from ...sim.arms.registry import ARMS
 
         if not self.bag:
             raise InputError("import-case", "BAG", "no file", "one or more ROS bags")
@@ -273,9 +273,9 @@ class Record:
 
     def run(self) -> int:
         """Record, and say how many ticks came and how many did not."""
-        from ..learn.recordings.record_bag import check_new_bag, into_mcap, record
-        from ..learn.recordings.stream import ticks
-        from ..learn.robot.access import read_token
+        from ...learn.recordings.record_bag import check_new_bag, into_mcap, record
+        from ...learn.recordings.stream import ticks
+        from ...learn.robot.access import read_token
 
         if self.seconds is not None and not self.seconds > 0:
             raise InputError("", "--seconds", f"{self.seconds:g}", "above 0 s")
@@ -306,7 +306,7 @@ def flag_helps(command: type) -> dict[str, str]:
 
 def _say(case: BranchCase | JointCase, out: Path, ask: Asker, as_json: bool) -> None:
     """Print warnings, what was assumed, and what to do next."""
-    from ..learn.cases.case import BranchCase
+    from ...learn.cases.case import BranchCase
 
     for line in ask.warnings:
         warn(line)

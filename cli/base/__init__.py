@@ -1,0 +1,4 @@
+"""What all commands share: exit codes.
+
+Uses: nothing but Python.
+"""
