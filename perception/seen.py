@@ -63,12 +63,13 @@ class SeenSensor(Sensor):
 
 
 def resampled(points: Array, count: int, rng: np.random.Generator) -> Array:
-    """Return so many of some points [N, 3]: without repetition where there are enough, as they are where there are so many.
+    """Return so many of some points [N, 3]: drawn without repetition where there are more, all where there are as many.
 
-    Fewer points are drawn with repetition, all of them at least once; none stay none.
+    Of fewer all are taken and some of them again; none stay none.
     """
-    if len(points) in (0, count):
+    there = len(points)
+    if there in (0, count):
         return points
-    if len(points) > count:
-        return np.asarray(points[rng.choice(len(points), count, replace=False)])
-    return np.asarray(points[np.concatenate([np.arange(len(points)), rng.integers(0, len(points), count - len(points))])])
+    if there > count:
+        return np.asarray(points[rng.choice(there, count, replace=False)])
+    return np.asarray(points[np.concatenate([np.arange(there), rng.integers(0, there, count - there)])])

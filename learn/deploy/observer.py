@@ -30,14 +30,14 @@ FELT = 1.0e3
 """Force that stands for a touch that was told, above any threshold on forces [N]."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Shapes:
     """Capsules or axes, as a sensor takes them."""
 
-    start: wp.array
-    end: wp.array
-    radius: wp.array
-    num_arm: int
+    start: Any
+    end: Any
+    radius: Any = None
+    num_arm: int = 0
 
 
 class Observer:
@@ -72,7 +72,7 @@ class Observer:
         dofs = self._arm.num_dofs
         v: Any = kernels.View()
         v.clock = kernels.Clock()
-        for name, kind in kernels.Clock.vars.items():
+        for name, kind in v.clock._cls.vars.items():
             setattr(v.clock, name, wp.zeros(1, dtype=kind.type.dtype, device="cpu"))
         for name, kind in (("q", wp.float32), ("qd", wp.float32), ("torque", wp.float32), ("target", wp.float32),
                            ("force", wp.vec3)):  # fmt: skip
@@ -95,15 +95,15 @@ class Observer:
                         if name in self.plan.parts.arrays}  # fmt: skip
 
     def _make_sensor(self) -> SeenSensor:
-        count = self._arm.num_capsules
         radius = np.concatenate([self._arm.base_radius, self._arm.tree.shape_radius.mean(axis=1)])
+        count = len(radius)
         ends = [wp.zeros((1, count), dtype=wp.vec3, device="cpu") for _ in range(2)]
         self._capsules = [wp.to_torch(a) for a in ends]
-        thick = wp.array(radius[None].astype(np.float32), dtype=wp.float32, device="cpu")
+        thick: Any = wp.array(radius[None].astype(np.float32), dtype=wp.float32, device="cpu")
         axis = [wp.zeros(1, dtype=wp.vec3, device="cpu") for _ in range(2)]
         self._axis = [wp.to_torch(a) for a in axis]
         settings = self.plan.settings
-        sensor = SeenSensor(_Shapes(*ends, thick, count), _Shapes(*axis, thick, 0), self._view.hand, settings.sensor,
+        sensor = SeenSensor(_Shapes(ends[0], ends[1], thick, count), _Shapes(axis[0], axis[1]), self._view.hand, settings.sensor,
                             seed=self._seed)  # fmt: skip
         sensor.max_noise.fill_(settings.max_noise[0])
         sensor.bind(self._observation, {f: self.columns[f] for f in SENSED if f in self.columns})
@@ -144,9 +144,9 @@ class Observer:
 
     def look(self, clouds: Clouds) -> None:
         """Take what was seen last; the line is fitted to all that was seen of it since the episode began."""
-        self.line.add(clouds.line)
+        self.line.add(clouds.line.astype(np.float64))
         rng = np.random.default_rng([self._seed, int(self._clock[0])])
-        self._branches = resampled(clouds.branches, self.plan.settings.sensor.points, rng)
+        self._branches = resampled(clouds.branches.astype(np.float64), self.plan.settings.sensor.points, rng)
 
     def observe(self, state: State) -> torch.Tensor:
         """Write and return what the policy sees as a policy step begins."""

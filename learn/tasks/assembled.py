@@ -288,6 +288,10 @@ class AssembledTask(VecEnv):
         self._launch(self._kernels.close, self.simulator.state.alive.entries(), self._slot, self._view, self._own,
                      self._rules, w["waiting"], w["done"], w["time_out"], w["log"], w["sums"])  # fmt: skip
 
+    def own(self, name: str) -> torch.Tensor:
+        """Return what the worlds remember by a name of `Parts.arrays` that is the task's own, a view [worlds, ...]."""
+        return self._counts[name]
+
     def measured(self) -> dict[str, torch.Tensor]:
         """Return the measures of every world's episode as `end_step` last wrote them, views [worlds] by name."""
         log: dict[str, torch.Tensor] = self._extras["log"]

@@ -236,8 +236,9 @@ class ReachPlaces:
     """
 
     def __init__(
-        self, simulator: ArmSimulator, trees: list[Tree], settings: ReachScene, *, seed: int, domain: str, first: int = 0
-    ) -> None:
+        self, simulator: ArmSimulator, trees: list[Tree], settings: ReachScene, *, seed: int, domain: str,
+        first: int = 0,
+    ) -> None:  # fmt: skip
         """Allocate everything; place nothing yet.
 
         In tests world w has pattern w mod 5 and target (w / 5) mod 60.
