@@ -103,8 +103,8 @@ class Observer:
         axis = [wp.zeros(1, dtype=wp.vec3, device="cpu") for _ in range(2)]
         self._axis = [wp.to_torch(a) for a in axis]
         settings = self.plan.settings
-        sensor = SeenSensor(_Shapes(ends[0], ends[1], thick, count), _Shapes(axis[0], axis[1]), self._view.hand, settings.sensor,
-                            seed=self._seed)  # fmt: skip
+        capsules, target = _Shapes(ends[0], ends[1], thick, count), _Shapes(axis[0], axis[1])
+        sensor = SeenSensor(capsules, target, self._view.hand, settings.sensor, seed=self._seed)
         sensor.max_noise.fill_(settings.max_noise[0])
         sensor.bind(self._observation, {f: self.columns[f] for f in SENSED if f in self.columns})
         return sensor

@@ -3,7 +3,7 @@
     with RobotClient("http://localhost:3738", token=None) as robot:
         robot.latest                          # newest State; a thread of the client's own keeps it so
         state = robot.next(after=state)       # waits for a tick later than that of ``state``
-        for state in robot.paced(60.0):       # the newest state, on this process's own clock; never hurries after itself
+        for state in robot.paced(60.0):       # the newest state, on this process's own clock
             robot.send(velocity, state)       # rad/s, numbered, answering ``state``: held-up commands are refused
         robot.wait_free()                     # until no other controller holds the arm
         robot.move_to(q, speed=0.3)           # rad/s, along a straight way in joints; returns the state there
@@ -12,7 +12,7 @@
         robot.stop(); robot.arm()             # latch a stop; re-arm the one that holds
         robot.accepted, robot.refused         # how many commands were; Counter of refusals by reason
 
-All of it is one controller, the stream's: one lease of 100 ms a command, and nothing here says a command again by itself.
+All of it is one controller, the stream's: one lease of 100 ms a command, and nothing here says a command again.
 Whoever stops sending lets the arm come to a standstill. A stop raises `StoppedError` at the next call, a refusal that
 does not pass within a lease `RefusedError`, a service that is gone `LostError`; what was never right (an address, a
 token) is an `InputError`.
@@ -359,12 +359,13 @@ class RobotClient:
         Raises:
             RefusedError: Its danger lasts, or the arm still moves.
         """
-        number = int(self.status()["stop"]) if number is None else number
-        if number:
-            self._ask("/arm", {"stop": number})
-            before = self._latest
-            while self.next(before).stop == number:  # so that the next command does not meet the stop's last tick
-                before = self._latest
+        if number is None:
+            number = int(self.status()["stop"])
+            if not number:
+                return
+        self._ask("/arm", {"stop": number})
+        while self.next().stop == number:  # so that the next command does not meet the stop's last tick
+            pass
 
     def _ask(self, path: str, body: dict[str, Any] | None) -> dict[str, Any]:
         data = None if body is None else json.dumps(body).encode()
