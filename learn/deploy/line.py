@@ -6,8 +6,9 @@ import numpy as np
 
 from ...sim.base.types import Array
 
-_KEPT = 4096  # points that are remembered
-_ROUNDS = 5
+_KEPT = 1024  # points that are remembered
+_EACH = 128  # points of one picture, spread over it
+_ROUNDS = 4
 _FAR = 3.0  # deviations from the axis beyond which a point counts no more
 _LEAST = 1e-5  # m: spread below which all points count
 
@@ -41,7 +42,8 @@ class LineFit:
         finite = finite[np.isfinite(finite).all(axis=1)]
         if len(finite) == 0:
             return
-        self._points = np.concatenate([self._points, finite])[-_KEPT:]
+        spread = np.unique(np.linspace(0, len(finite) - 1, _EACH).round().astype(int))
+        self._points = np.concatenate([self._points, finite[spread]])[-_KEPT:]
         if len(self._points) >= 2:
             self.ends = fitted(self._points)
 
@@ -58,7 +60,8 @@ def fitted(points: Array) -> Array:
     counts = np.ones(len(points), bool)
     for _ in range(_ROUNDS):
         middle = points[counts].mean(axis=0)
-        axis = np.linalg.svd(points[counts] - middle, full_matrices=False)[2][0]
+        apart = points[counts] - middle
+        axis = np.linalg.eigh(apart.T @ apart)[1][:, -1]
         along = (points - middle) @ axis
         off = np.linalg.norm(points - middle - along[:, None] * axis, axis=1)
         spread = 1.4826 * float(np.median(off)) + _LEAST

@@ -16,7 +16,7 @@ import torch
 
 from ...sim.base.types import Array
 from ..cameras.frames import Clouds, CloudSource
-from ..robot.client import RobotError, State, StoppedError
+from ..robot.client import SILENT, LostError, RobotError, State, StoppedError
 from .feel import Feel
 from .log import Answer, RunLog
 from .observer import Observer
@@ -28,6 +28,9 @@ PATIENCE = 60.0
 """How long the first clouds are waited for [s]: a segmenter loads its weights."""
 
 
+_LATEST = 0.0185  # s after an answer that the next one waits for its tick
+
+
 class BlindError(RobotError):
     """What the policy sees is too old, or not there."""
 
@@ -35,8 +38,13 @@ class BlindError(RobotError):
 class Link(Protocol):
     """What a loop steers: `learn.robot.client.RobotClient`, or a twin without a network."""
 
-    def next(self, after: State | None = None) -> State:
-        """Return a state later than another."""
+    @property
+    def latest(self) -> State:
+        """The newest state."""
+        ...
+
+    def next(self, after: State | None = None, timeout: float = SILENT) -> State:
+        """Return a state later than another; `LostError` where none comes in time [s]."""
         ...
 
     def send(self, velocity: Array, state: State) -> int:
@@ -127,6 +135,7 @@ class Runner:
         steps = plan.pace.episode_steps
         self._longest = steps if seconds is None else max(1, min(steps, round(seconds / plan.step_seconds)))
         self._target: Array | None = None
+        self._answered = 0
         self._began = clock()
         self.frames: Callable[[State, Facts | None], None] | None = None
 
@@ -204,7 +213,8 @@ class Runner:
 
     def _drive(self, episode: Episode) -> None:
         state, last, steps = self.link.next(), None, 0
-        first = self._clock()
+        first, start = self._clock(), state.tick
+        self._answered = 0
         while True:
             now = self._clock()
             self._sense(state, now)
@@ -219,17 +229,40 @@ class Runner:
             answered = self._clock()
             episode.seconds = answered - first
             self._note(state, answered, steps, period, asked, episode, last)
-            last, before = answered, state
-            state = self.link.next(state)
-            self._catch_up(state, before, episode)
+            last = answered
+            self._answered += 1
+            state = self._await(state, start, answered)
+            self._catch_up(state.tick - start, episode)
 
-    def _catch_up(self, state: State, before: State, episode: Episode) -> None:
+    def _await(self, state: State, start: int, answered: float) -> State:
+        """Return the next tick's state; where that is late, the newest one again, so that the loop keeps its rate.
+
+        A tick that was answered before it came is passed over when it comes.
+
+        Raises:
+            LostError: The service is gone or silent.
+        """
+        while True:
+            wait = answered + _LATEST - self._clock()
+            try:
+                state = self.link.next(state, max(wait, 1e-3))
+            except LostError:
+                state = self.link.latest
+                if self._clock() - state.received > SILENT:
+                    raise
+                return state
+            if state.tick - start >= self._answered:
+                return state
+
+    def _catch_up(self, passed: int, episode: Episode) -> None:
         """Pass over the control periods of ticks that were missed, up to the next action."""
-        missed = state.tick - before.tick - 1
-        episode.missed += missed
+        missed = passed - self._answered
+        if missed > 0:
+            episode.missed += missed
+            self._answered += missed
         for _ in range(missed):
             if self.steering.period:
-                self.steering.ask(state.qd)
+                self.steering.ask(self.link.latest.qd)
 
     def _sense(self, state: State, now: float) -> None:
         """Look at clouds and touch as they are at a tick.
@@ -252,7 +285,7 @@ class Runner:
 
     def _decide(self, state: State, now: float, episode: Episode) -> None:
         if self.senses.true_touch and self.senses.truth is not None:
-            facts = self.senses.truth.latest()[1]
+            facts = self.senses.truth.told()[1]
             self.observer.pushed(facts["force"], float(facts["felt"]))
         if self._clouds is not None:
             self.observer.look(self._clouds)
@@ -280,7 +313,7 @@ class Runner:
         needed = 1 if self._target is not None else getattr(plan.settings, "success_steps", 1)
         episode.seen = episode.seen or self._clear >= needed
         truth = self.senses.truth
-        done = episode.seen if truth is None else succeeded(truth.latest()[1])
+        done = episode.seen if truth is None else succeeded(truth.told()[1])
         if done:
             episode.ended = "done"
         return done
@@ -300,7 +333,7 @@ class Runner:
             ))  # fmt: skip
         if self.frames is not None:
             truth = self.senses.truth
-            self.frames(state, None if truth is None else truth.latest()[1])
+            self.frames(state, None if truth is None else truth.told()[1])
 
     def _rest(self) -> None:
         """Ask for zero speed until the arm stands."""
@@ -316,7 +349,7 @@ class Runner:
         truth = self.senses.truth
         if truth is None:
             return
-        facts = truth.latest()[1]
+        facts = truth.told()[1]
         episode.measures = {name[8:]: float(x) for name, x in facts.items() if name.startswith("measure ")}
         episode.success = succeeded(facts)
 

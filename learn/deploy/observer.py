@@ -150,8 +150,9 @@ class Observer:
 
     def observe(self, state: State) -> torch.Tensor:
         """Write and return what the policy sees as a policy step begins."""
-        told = {"q": state.q, "qd": state.qd, "torque": state.torque + carrying_torque(self._arm, state.q),
-                "hand": state.hand_position, "turn": state.hand_rotation}  # fmt: skip
+        told = {"q": state.q, "qd": state.qd, "hand": state.hand_position, "turn": state.hand_rotation}
+        if "torque" in self.columns:
+            told["torque"] = state.torque + carrying_torque(self._arm, state.q)
         for name, value in told.items():
             self._state[name][0] = torch.as_tensor(value, dtype=torch.float32)
         if self._sensor is not None:

@@ -19,7 +19,7 @@ from ...sim.base.errors import InputError
 from ...sim.base.types import Array
 from ..cameras.frames import CloudSource
 from ..policies.film import Film
-from ..robot.client import RobotClient, RobotError, State
+from ..robot.client import SILENT, RobotClient, RobotError, State
 from ..runs.threads import one_thread
 from ..tasks.registry import TaskRegistry
 from .feel import Feel
@@ -186,7 +186,7 @@ class Session:
         if self.order.target is not None:
             return np.array(self.order.target)
         assert self.truth is not None
-        facts = self.truth.latest()[1]
+        facts = self.truth.told()[1]
         if "target" not in facts:
             raise InputError(self.order.url, "", "a twin's scene without a target", "bough robot serve --scene reach")
         return facts["target"]
@@ -284,9 +284,14 @@ class Withheld:
         """Take the link, and what is called with every answer."""
         self._link, self._told = link, told
 
-    def next(self, after: State | None = None) -> State:
+    @property
+    def latest(self) -> State:
+        """The arm's newest state."""
+        return self._link.latest
+
+    def next(self, after: State | None = None, timeout: float = SILENT) -> State:
         """Return the arm's next state."""
-        return self._link.next(after)
+        return self._link.next(after, timeout)
 
     def send(self, velocity: Array, state: State) -> int:
         """Tell what would be sent."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...sim.base.types import Array
 from ..robot.backend import Sample
-from ..robot.client import State, StoppedError
+from ..robot.client import SILENT, State, StoppedError
 from ..robot.guard import PERIOD, Command, Guard
 from ..robot.limits import Limits
 from ..robot.workspace import Workspace
@@ -58,7 +58,12 @@ class SimulatedTwin:
 
     # ---- the arm -----------------------------------------------------------------------------------------------------
 
-    def next(self, after: State | None = None) -> State:
+    @property
+    def latest(self) -> State:
+        """The newest state."""
+        return self.state
+
+    def next(self, after: State | None = None, timeout: float = SILENT) -> State:
         """Let one tick pass; return the state in it."""
         self.state = self._tick()
         return self.state
@@ -114,9 +119,9 @@ class SimulatedTwin:
         """Begin the scene of a number, armed; return what is true of it."""
         self.stage.begin(number)
         self._restart()
-        return self.latest()[1]
+        return self.told()[1]
 
-    def latest(self) -> tuple[float, Facts]:
+    def told(self) -> tuple[float, Facts]:
         """Return what was true ``delay`` ago or before, and when [s]."""
         if self.now - self._told >= self._every - 1e-6:
             self._told = self.now

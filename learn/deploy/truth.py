@@ -32,7 +32,7 @@ class Truth(Protocol):
         """Begin the scene of a number, while a stop holds; return what is true of it."""
         ...
 
-    def latest(self) -> tuple[float, Facts]:
+    def told(self) -> tuple[float, Facts]:
         """Return what was true last and when [s], on the loop's clock."""
         ...
 
@@ -77,7 +77,7 @@ class TwinTruth:
         self._latest = self._asked()
         return self._latest[1]
 
-    def latest(self) -> tuple[float, Facts]:
+    def told(self) -> tuple[float, Facts]:
         """Return what was true last, and when it was asked for [s].
 
         Raises:
@@ -137,7 +137,7 @@ class TruthClouds:
 
     def latest(self) -> Clouds | None:
         """Return the newest points; None for a scene without a line."""
-        when, facts = self._truth.latest()
+        when, facts = self._truth.told()
         if "line" not in facts:
             return None
         return Clouds(when, facts["branches"].astype(np.float32), facts["line"].astype(np.float32))

@@ -113,7 +113,7 @@ def unpacked(data: bytes) -> dict[str, Array]:
             if dtype.kind not in "fiub":
                 raise ValueError(f"numbers of type {dtype}")
             count = math.prod(shape)
-            out[name] = np.frombuffer(rest, dtype, count, at).reshape(shape)
+            out[name] = np.frombuffer(rest, dtype, count, at).reshape(shape).copy()
             at += count * dtype.itemsize
     except (TypeError, AttributeError) as error:
         raise ValueError(str(error)) from None
