@@ -96,11 +96,11 @@ class Cameras:
     def _look(self, world: World, cameras: Sequence[Pinhole], shape: tuple[int, int, int]) -> list[Any]:
         solids, _tree = self._solids(world)
         labels = np.append(world.label, np.repeat(np.uint8(Label.BACKGROUND), 2))
-        eyes = wp.array([c.kernel for c in cameras], dtype=kernels.Eye, device=self._device)
+        eyes: Any = wp.array([c.kernel for c in cameras], dtype=kernels.Eye, device=self._device)
         kinds = (wp.vec3, float, float, wp.uint8)
         out = [wp.empty(shape, dtype=kind, device=self._device) for kind in kinds]
         baseline = self.stereo.baseline if self.stereo.graze[1] > 0.0 else 0.0
-        there = wp.array(labels, dtype=wp.uint8, device=self._device)
+        there: Any = wp.array(labels, dtype=wp.uint8, device=self._device)
         inputs = [solids, self._lamp, eyes, there, baseline]
         wp.launch(kernels.look, shape, inputs, out, device=self._device)
         return out

@@ -44,7 +44,9 @@ class World:
         return World(Solids.joined([part.solids for part in parts]), label, parts[0].ground)
 
     @staticmethod
-    def capsules(start: Array, end: Array, radius: Array, label: Array, colour: Array, ground: float = 0.0) -> World:
+    def capsules(
+        start: Array, end: Array, radius: Array, label: NDArray[np.uint8], colour: Array, ground: float = 0.0
+    ) -> World:  # fmt: skip
         """Return capsules: ends [C, 3], radii [C] (those of 0 are left out), labels [C], sRGB colours [C, 3]."""
         used = radius > 0.0
         radii = np.repeat(radius[used, None], 2, axis=1)
