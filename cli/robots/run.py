@@ -36,8 +36,11 @@ class Run:
         policy: Folder that bough train wrote, of powerline or reach.
         robot: Address of the service.
         out: Folder to write to; it must not hold a run's log yet. Not needed with --dry-run.
-        camera: Where a clearing policy's clouds come from: truth (what the twin's perfect camera sees), or a camera of
-            docs/cameras.md.
+        camera: Where a clearing policy's clouds come from: truth (what is there in the twin), twin (cameras that look at
+            it), realsense:SERIAL, or another one of docs/cameras.md.
+        calibration: cameras.yaml of the camera, where it has none of its own.
+        weights: Folder with the weights of a segmenter (docs/cameras.md); one that goes by colour if not given.
+        prompt: What the weights look for: branches, and the line.
         touch: What tells a policy of touch: model.npz that bough touch train wrote, truth (the twin's forces), or none.
             The run's own classifier if not given.
         target: x y z where the hand is to go, in the arm's base frame [m]; the twin's if not given.
@@ -56,6 +59,9 @@ class Run:
     robot: str
     out: Path | None = None
     camera: str | None = None
+    calibration: Path | None = None
+    weights: Path | None = None
+    prompt: tuple[str, ...] = ()
     touch: str | None = None
     target: tuple[float, float, float] | None = None
     episodes: int = 1
@@ -100,8 +106,12 @@ class Run:
 
         token = None if self.token_file is None else read_token(self.token_file)
         seconds = 1.0 if self.seconds is None and self.dry_run else self.seconds
-        return Order(self.policy, self.robot, self.out or Path(), token, self.certificate, self.camera, self.touch,
-                     self.target, self.episodes, seconds, self.most_age, self.film, self.fps)  # fmt: skip
+        return Order(
+            self.policy, self.robot, self.out or Path(), token=token, certificate=self.certificate, camera=self.camera,
+            calibration=self.calibration, weights=self.weights, prompts=self.prompt, touch=self.touch,
+            target=self.target, episodes=self.episodes, seconds=seconds, most_age=self.most_age, film=self.film,
+            fps=self.fps,
+        )  # fmt: skip
 
     def _wet(self, registry: TaskRegistry) -> int:
         from ...learn.deploy.report import sentence

@@ -46,6 +46,9 @@ class Order:
         token: What the service wants to hear, None for nothing.
         certificate: PEM file that vouches for it, or None.
         camera: ``truth``, or what `learn.cameras` opens; None for a policy that sees none.
+        calibration: ``cameras.yaml`` of the camera; None for its own.
+        weights: Folder with the weights of a segmenter; None for colours.
+        prompts: What it looks for; empty for its own.
         touch: ``truth``, ``none``, or a model of `bough touch train`; None for what the run's own settings name.
         target: Where the hand is to go [m]; None for where the twin says.
         episodes: How many.
@@ -61,6 +64,9 @@ class Order:
     token: str | None = None
     certificate: Path | None = None
     camera: str | None = None
+    calibration: Path | None = None
+    weights: Path | None = None
+    prompts: tuple[str, ...] = ()
     touch: str | None = None
     target: tuple[float, float, float] | None = None
     episodes: int = 1
@@ -160,7 +166,12 @@ class Session:
             return TruthClouds(self.truth)
         from ..cameras.open import open_clouds
 
-        return open_clouds(self.order.camera)
+        order = self.order
+        return open_clouds(
+            self.order.camera, arm=self.driver.plan.arm, url=self.robot.url, token=order.token or _token_of(order.url),
+            certificate=order.certificate, calibration=order.calibration, weights=order.weights, prompts=order.prompts,
+            limit=order.most_age,
+        )  # fmt: skip
 
     def _check_home(self) -> None:
         home, q = self.driver.plan.arm.home, self.robot.latest.q

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import warp as wp
 
 from ...sim.base.errors import InputError
 from ...sim.base.types import Array
+from ...sim.cameras.described import Scene, arm_world, packed
 from ..robot.backend import Sample
 from ..runs.folder import CONFIG, RunFolder
 from ..tasks.assembled import AssembledTask
@@ -156,6 +158,14 @@ class Stage:
         made = self._made(number)
         with self._lock:
             self._set_up(number, made)
+
+    def scene(self) -> bytes:
+        """Return the world as it is, for cameras in another process (`sim.cameras.described`)."""
+        with self._lock:
+            sim, age = self.task.simulator, 0.0 if self._until is None else time.monotonic() - self._until
+            hand, turn = (x[0].numpy().astype(np.float64) for x in (sim.end_position, sim.end_rotation))
+            ground = min(0.0, float(self.task.foot[0, 2]))
+            return packed(Scene(arm_world(sim, 0, ground), age, hand, turn))
 
     def truth(self) -> dict[str, Array]:
         """Return all that is true of the world now, by name; arrays, from any thread.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import json
 from typing import Any
@@ -140,6 +141,17 @@ def make_app(service: Service) -> FastAPI:
         finally:
             hub.leave(event)
             service.release(name)
+
+    @app.websocket("/twin/scene")
+    async def _scene(socket: WebSocket) -> None:
+        if service.scene is None:
+            await socket.close(1008)
+            return
+        await socket.accept()
+        with contextlib.suppress(WebSocketDisconnect):
+            while True:  # one answer for every message, so that a slow camera delays itself alone
+                await socket.receive_text()
+                await socket.send_bytes(await asyncio.to_thread(service.scene))
 
     return app
 

@@ -143,6 +143,10 @@ class Service:
             self.twin.begin(number)
         return reply
 
+    def scene(self) -> Callable[[], bytes] | None:
+        """What returns a twin's world for cameras (`sim.cameras.described`); None for an arm that is real."""
+        return getattr(self._backend, "scene", None)
+
     @property
     def pace(self) -> dict[str, float]:
         """Periods of the last minute's ticks [s]: median, 99th percentile, greatest; and their number."""
