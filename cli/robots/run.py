@@ -36,8 +36,8 @@ class Run:
         policy: Folder that bough train wrote, of powerline or reach.
         robot: Address of the service.
         out: Folder to write to; it must not hold a run's log yet. Not needed with --dry-run.
-        camera: Where a clearing policy's clouds come from: truth (what is there in the twin), twin (cameras that look at
-            it), realsense:SERIAL, or another one of docs/cameras.md.
+        camera: Where a clearing policy's clouds come from: truth (what is there in the twin), twin (cameras that look
+            at it), realsense:SERIAL, or another one of docs/cameras.md.
         calibration: cameras.yaml of the camera, where it has none of its own.
         weights: Folder with the weights of a segmenter (docs/cameras.md); one that goes by colour if not given.
         prompt: What the weights look for: branches, and the line.

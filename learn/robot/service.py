@@ -143,6 +143,7 @@ class Service:
             self.twin.begin(number)
         return reply
 
+    @property
     def scene(self) -> Callable[[], bytes] | None:
         """What returns a twin's world for cameras (`sim.cameras.described`); None for an arm that is real."""
         return getattr(self._backend, "scene", None)
