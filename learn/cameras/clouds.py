@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...sim.arms.arm import Arm
-from ...sim.arms.arrays import arm_capsules
+from ...sim.arms.arm import Arm, arm_capsules
 from ...sim.base.rotation import quat_rotate
 from ...sim.base.types import Array
+from ...sim.cameras.label import Label
 from ...sim.cameras.stereo import StereoDepth
-from ...sim.cameras.world import Label
 from .calibration import Rig
 from .frames import Clouds, Frame
 
