@@ -73,15 +73,13 @@ def cloud_of(
 
 
 def _kept(points: Array, frame: Frame, rig: Rig, body: tuple[Array, Array, Array] | None) -> Array:
-    inside = ((points >= rig.box_low) & (points <= rig.box_high)).all(axis=1)
-    if rig.ground is not None:
-        inside &= points[:, 2] > rig.ground + rig.margin
-    points = points[inside]
-    if body is None or not len(points):
-        return points
+    points = points[((points >= rig.box_low) & (points <= rig.box_high)).all(axis=1)]
     away = np.linalg.norm(points - frame.position, axis=1)
-    noise = 3.0 * StereoDepth().deviation(1.0) * away**2
-    return points[beside(points, *body) > rig.margin + noise]
+    margin = rig.margin + 3.0 * StereoDepth().deviation(1.0) * away**2
+    keep = np.ones(len(points), bool) if rig.ground is None else points[:, 2] > rig.ground + margin
+    if body is not None:
+        keep &= beside(points, *body) > margin
+    return points[keep]
 
 
 def joined(parts: Sequence[tuple[float, Array, Array]], grain: float) -> Clouds:
