@@ -194,6 +194,11 @@ BENCHMARKS = (
         ),
     ),
     Benchmark(
+        "cameras", "Clouds of one to three simulated D405s, with and without leaves, beside the kernel's own sampling.",
+        "a second draw of the kernel", "cameras", 2,
+        bounds=(Bound("3 cameras", "occlusion", most=0.25), Bound("mask BRANCH", "found", least=0.9)),
+    ),
+    Benchmark(
         "accuracy", "Error of 60 random trees' motion, float32, against a converged MuJoCo run.",
         "C MuJoCo at the same step", "accuracy", 4, (), ("--trees", "10"), bounds=_accuracy_bounds(0.1),
     ),

@@ -99,7 +99,7 @@ class BagSource:
         topics = {}
         for k, camera in enumerate(self._rig.cameras):
             topics[camera.colour_topic], topics[camera.depth_topic] = (k, "colour"), (k, "depth")
-        wanted = [c for c in reader.connections if c.topic in topics and c.msgtype == _IMAGE or c.msgtype == _JOINTS]
+        wanted = [c for c in reader.connections if (c.topic in topics and c.msgtype == _IMAGE) or c.msgtype == _JOINTS]
         halves, joints = [_Half() for _ in self._rig.cameras], None
         for connection, arrived, raw in reader.messages(connections=wanted):
             message = reader.deserialize(raw, connection.msgtype)

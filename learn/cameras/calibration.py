@@ -91,8 +91,8 @@ class Rig:
         cameras: The cameras.
         box_low, box_high: Corners of the box in the base frame beyond which nothing counts [m], [3].
         farthest: Depth beyond which nothing counts [m].
-        ground: Height of the ground [m], None where there is none in the box; what is less than ``margin`` above it
-            does not count.
+        ground: Height of the ground [m], None where there is none in the box; what is no higher than ``margin``, and
+            three deviations of the depth, above it does not count.
         margin: Distance from the arm within which a point is the arm's [m], beside three deviations of the depth.
         grain: Edge of the cells that a cloud is thinned to one point in [m].
         line_srgb: Colour of the line, 0..1, for the segmenter by colour; ``line_hue`` is how far its hue may be off

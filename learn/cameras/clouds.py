@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...sim.arms.arm import Arm
-from ...sim.arms.arrays import arm_capsules
+from ...sim.arms.arm import Arm, arm_capsules
 from ...sim.base.rotation import quat_rotate
 from ...sim.base.types import Array
+from ...sim.cameras.label import Label
 from ...sim.cameras.stereo import StereoDepth
-from ...sim.cameras.world import Label
 from .calibration import Rig
 from .frames import Clouds, Frame
 
@@ -74,15 +73,13 @@ def cloud_of(
 
 
 def _kept(points: Array, frame: Frame, rig: Rig, body: tuple[Array, Array, Array] | None) -> Array:
-    inside = ((points >= rig.box_low) & (points <= rig.box_high)).all(axis=1)
-    if rig.ground is not None:
-        inside &= points[:, 2] > rig.ground + rig.margin
-    points = points[inside]
-    if body is None or not len(points):
-        return points
+    points = points[((points >= rig.box_low) & (points <= rig.box_high)).all(axis=1)]
     away = np.linalg.norm(points - frame.position, axis=1)
-    noise = 3.0 * StereoDepth().deviation(1.0) * away**2
-    return points[beside(points, *body) > rig.margin + noise]
+    margin = rig.margin + 3.0 * StereoDepth().deviation(1.0) * away**2
+    keep = np.ones(len(points), bool) if rig.ground is None else points[:, 2] > rig.ground + margin
+    if body is not None:
+        keep &= beside(points, *body) > margin
+    return points[keep]
 
 
 def joined(parts: Sequence[tuple[float, Array, Array]], grain: float) -> Clouds:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...sim.base.types import Array
-from ...sim.cameras.world import Label
+from ...sim.cameras.label import Label
 from .calibration import Rig
 from .frames import Frame
 

@@ -13,7 +13,7 @@ import torch
 from torch.nn.functional import interpolate, pad
 
 from ...sim.base.errors import InputError
-from ...sim.cameras.world import Label
+from ...sim.cameras.label import Label
 from .calibration import Rig
 from .colours import Labels
 from .frames import Frame

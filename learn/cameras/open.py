@@ -112,7 +112,7 @@ def twin_rig(bearing: float = -0.785) -> Rig:
 
     ahead = np.array([np.cos(bearing), np.sin(bearing), 0.0])
     side, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
-    middle = 0.5 * ahead + 0.45 * up
+    middle = 0.5 * ahead + 0.55 * up
     cameras = []
     for name, sign in (("left", 1.0), ("right", -1.0)):
         position = 0.1 * ahead + sign * 0.6 * side + 0.75 * up

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch.nn.functional import interpolate
 
-from ...sim.cameras.world import Label
+from ...sim.cameras.label import Label
 from .colours import Labels
 from .frames import Frame
 from .grounded import picture

@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from ...sim.base.errors import InputError, shortened
 from ...sim.base.extras import install_hint
 from ...sim.base.types import Array
-from ...sim.cameras.pinhole import Pinhole
 from ...sim.cameras.stereo import D405_HEIGHT, D405_WIDTH, StereoDepth
 from .calibration import Mounted, Rig
+
+if TYPE_CHECKING:
+    from ...sim.cameras.pinhole import Pinhole
 
 RATE = 30.0
 """Pictures a second."""
@@ -135,6 +137,8 @@ class TwinSource:
         return focal, focal, (self._width - 1) / 2, (self._height - 1) / 2
 
     def _eye(self, camera: Mounted, hand: Array, turn: Array) -> Pinhole:
+        from ...sim.cameras.pinhole import Pinhole
+
         pose = camera.pose((hand, turn))
         assert pose is not None
         (x, y, z), (a, b, c, d) = pose[0].tolist(), (pose[1] / np.linalg.norm(pose[1])).tolist()

@@ -39,7 +39,7 @@ class Segmenter(Protocol):
     """Tells what the pixels of a picture show."""
 
     def label(self, frame: Frame) -> Labels:
-        """Return `sim.cameras.world.Label` of each pixel, [H, W]."""
+        """Return `sim.cameras.label.Label` of each pixel, [H, W]."""
         ...
 
 
@@ -131,21 +131,20 @@ def _end_with_parent() -> None:
 def take(board: Board, source: Source) -> None:
     """Write every picture of a source into its ring; one that is the same as the last is none: its camera is frozen."""
     last: dict[int, tuple[NDArray[np.uint8], NDArray[np.float32]]] = {}
+    frozen: set[int] = set()
     for taken in source.frames():
-        before = last.get(taken.camera)
-        if before is not None and _same(before[1], taken.depth) and _same(before[0], taken.colour):
-            board.say("camera", f"camera {taken.camera} sends the same picture again")
-            continue
-        last[taken.camera] = (taken.colour, taken.depth)
-        board.say("camera", "")
-        ring = board.pictures[taken.camera]
-        q = np.full(board.joints.read_shape("q"), np.nan) if taken.q is None else taken.q
-        ring.write(time=taken.time, colour=taken.colour, depth=taken.depth, intrinsics=taken.intrinsics, q=q)
+        k = taken.camera
+        before = last.get(k)
+        if before is not None and np.array_equal(before[1], taken.depth) and np.array_equal(before[0], taken.colour):
+            frozen.add(k)
+        else:
+            frozen.discard(k)
+            last[k] = (taken.colour, taken.depth)
+            q = np.full(board.joints.read_shape("q"), np.nan) if taken.q is None else taken.q
+            board.pictures[k].write(time=taken.time, colour=taken.colour, depth=taken.depth,
+                                    intrinsics=taken.intrinsics, q=q)  # fmt: skip
+        board.say("camera", f"the same picture again and again of camera {sorted(frozen)}" if frozen else "")
     board.say("camera", "the recording is over")
-
-
-def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:
-    return bool(np.array_equal(a, b))
 
 
 # ---- key frames ------------------------------------------------------------------------------------------------------

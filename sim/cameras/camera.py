@@ -16,9 +16,10 @@ from ...kernels.points import raytrace
 from ..base.errors import InputError
 from ..formats.export_mesh import linear_light
 from ..pictures.tracer import Ground, Sunlight, develop, lamp
+from .label import Label
 from .pinhole import Pinhole
 from .stereo import StereoDepth
-from .world import Label, World
+from .world import World
 
 GROUND = Ground(color=(0.30, 0.31, 0.27), tile=0.5, contrast=0.1)
 """What cameras see below; its height is the world's."""

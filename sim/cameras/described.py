@@ -17,7 +17,8 @@ from ..arms.simulator import ArmSimulator
 from ..base.types import Array
 from ..formats.export_mesh import level_color
 from ..pictures.tracer import Solids
-from .world import Label, World
+from .label import Label
+from .world import World
 
 ARM_COLOUR, LINE_COLOUR = (0.75, 0.75, 0.78), (0.70, 0.10, 0.08)
 _MOST = 1 << 16  # capsules

@@ -6,9 +6,6 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any
 
-import warp as wp
-
-from ...kernels.points import camera as kernels
 from ..base.errors import InputError
 
 D405_WIDTH, D405_HEIGHT = 848, 480
@@ -76,6 +73,10 @@ class StereoDepth:
     @property
     def kernel(self) -> Any:
         """The same as the kernels take it."""
+        import warp as wp  # here, so that what knows a camera's numbers alone starts fast
+
+        from ...kernels.points import camera as kernels
+
         out = kernels.Stereo()
         for field in fields(self):
             value = getattr(self, field.name)

@@ -4,23 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.types import Array
 from ..pictures.tracer import Solids
-
-
-class Label(IntEnum):
-    """What a pixel shows."""
-
-    BACKGROUND = 0
-    BRANCH = 1
-    LINE = 2
-    ROBOT = 3
-    LEAF = 4
+from .label import Label
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ import pytest
 from bough.sim.base.errors import InputError
 from bough.sim.base.rotation import quat_rotate
 from bough.sim.cameras.camera import Cameras
+from bough.sim.cameras.label import Label
 from bough.sim.cameras.pinhole import Pinhole, looking
 from bough.sim.cameras.stereo import StereoDepth
-from bough.sim.cameras.world import Label, World
+from bough.sim.cameras.world import World
 from bough.sim.pictures.tracer import Solids
 
 WIDTH, HEIGHT = 80, 60
