@@ -29,7 +29,7 @@ def test_a_half_hidden_line_is_put_together_from_pictures_with_outliers():
     """
     rng, line = np.random.default_rng(0), LineFit()
     for low, high in ((0.0, 0.3), (0.3, 1.0), (0.3, 1.0)):
-        seen = along(rng.uniform(low, high, 300)) + [0.0, 0.0, 0.01] + rng.normal(0.0, 0.002, (300, 3))
+        seen = along(rng.uniform(low, high, 300)) + np.array([0.0, 0.0, 0.01]) + rng.normal(0.0, 0.002, (300, 3))
         stray = along(rng.uniform(low, high, 30)) + rng.normal(0.0, 0.2, (30, 3))
         line.add(np.concatenate([seen, stray, [[np.nan] * 3]]))
     off = min(np.linalg.norm(line.ends - [START, END], axis=1).max(),

@@ -110,7 +110,7 @@ def test_a_log_that_cannot_be_written_stops_the_arm(tmp_path, monkeypatch):
 
 
 def test_a_hand_that_is_led_to_its_target_succeeds(tmp_path):
-    """Lead the hand by its Jacobian's transpose: done as seen and in truth, at a pace of a sixtieth, every tick logged."""
+    """Lead the hand by its Jacobian: done as seen and in truth, at a pace of a sixtieth, every tick logged."""
     arm = jaco2()
     t = twin("reach", number=3)
     t.stage.task.simulator.capsules.radius.zero_()  # nothing in the way
