@@ -24,7 +24,6 @@ from typing import Any
 import measuring
 import numpy as np
 import torch
-
 from bough.learn.cameras.clouds import capsules_at, cloud_of, joined
 from bough.learn.cameras.colours import ByColour
 from bough.learn.cameras.frames import Clouds, Frame
