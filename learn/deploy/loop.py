@@ -55,8 +55,8 @@ class Link(Protocol):
         """Stop the arm."""
         ...
 
-    def arm(self) -> None:
-        """Re-arm the stop that holds."""
+    def arm(self, number: int | None = None) -> None:
+        """Re-arm the stop of a number."""
         ...
 
 
@@ -360,9 +360,9 @@ class Runner:
             RobotError: The twin does not.
         """
         assert self.senses.truth is not None
-        self.link.stop()
+        stop = self.link.stop()
         facts = self.senses.truth.begin(number)
-        self.link.arm()
+        self.link.arm(stop)
         if "target" in facts:
             self.aim(facts["target"])
 

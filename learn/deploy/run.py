@@ -32,6 +32,7 @@ from .truth import FAST, SLOW, TruthClouds, TwinTruth
 
 TRUTH, NONE = "truth", "none"
 _HOME = 0.1  # rad from home that an arm may begin at
+_FREE = 3.0  # s that another controller may still hold the arm
 _SWITCH = 5e-4  # s that another thread may keep the interpreter from the loop
 
 
@@ -125,8 +126,14 @@ class Hooks:
 class Session:
     """An arm, what is seen and what is true, opened for an order; close it."""
 
-    def __init__(self, order: Order, driver: Driver, touch: str) -> None:
+    def __init__(self, order: Order, driver: Driver, touch: str, *, moves: bool = True) -> None:
         """Connect.
+
+        Args:
+            order: What is to be run.
+            driver: Its policy.
+            touch: What `read_order` said.
+            moves: Whether the arm is to move.
 
         Raises:
             InputError: There is no service, no camera, no twin where one is needed, or the arm is not at home.
@@ -140,6 +147,8 @@ class Session:
             self.clouds = self._open_clouds()
             if self.truth is None:
                 self._check_home()
+            if moves:
+                self._check_free()
         except BaseException:
             self.close()
             raise
@@ -179,6 +188,13 @@ class Session:
             found = ", ".join(f"{x:.3f}" for x in q)
             allowed = ", ".join(f"{x:.3f}" for x in home)
             raise InputError(self.order.url, "joints", f"[{found}] rad", f"[{allowed}], where the policy begins")
+
+    def _check_free(self) -> None:
+        """Raise `InputError` where a stop holds, which is not ours to re-arm, or another controller the arm."""
+        try:
+            self.robot.wait_free(_FREE)
+        except RobotError as error:
+            raise InputError(self.order.url, "", str(error), "an arm that is armed and that nobody holds") from None
 
     def runner(self, link: Link, log: RunLog | None) -> Runner:
         """Return what runs episodes."""
@@ -313,7 +329,7 @@ class Withheld:
         """Stop nothing: nothing moves by this."""
         return 0
 
-    def arm(self) -> None:
+    def arm(self, number: int | None = None) -> None:
         """Arm nothing."""
 
 
@@ -325,7 +341,7 @@ def dry_run(order: Order, registry: TaskRegistry, told: Callable[[State, Array],
         RobotError: The camera or the service is gone.
     """
     driver, touch = read_order(order, registry)
-    session = Session(order, driver, touch)
+    session = Session(order, driver, touch, moves=False)
     try:
         with one_thread():
             runner = session.runner(Withheld(session.robot, told), None)

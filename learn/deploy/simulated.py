@@ -96,7 +96,7 @@ class SimulatedTwin:
         assert self.guard.stop is not None
         return self.guard.stop.number
 
-    def arm(self) -> None:
+    def arm(self, number: int | None = None) -> None:
         """Re-arm what has stopped: scenes begin armed here."""
 
     def _tick(self) -> State:
