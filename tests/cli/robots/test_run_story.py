@@ -1,4 +1,4 @@
-"""`bough run` as users and their broken machines meet it: real processes, a twin in real time, two logs as witnesses."""
+"""`bough run` as users and their broken machines meet it: real processes, a twin in real time, two logs."""
 
 import json
 import os

@@ -82,8 +82,7 @@ def test_a_clearing_policy_sees_on_a_robot_what_it_saw_in_training():
     assert observer.observation.shape == (1, 88) and observer.seen("occlusion") > 0.0
 
 
-@pytest.mark.parametrize("policy", ["pcap", "ppo+"])
-@pytest.mark.parametrize("control", ["s3ec", "plai", "nominal"])
+@pytest.mark.parametrize("policy, control", [("pcap", "s3ec"), ("pcap", "plai"), ("ppo+", "nominal")])
 def test_a_reaching_policy_sees_on_a_robot_what_it_saw_in_training(policy, control):
     """The same of reach, whose flag is set by the true forces' mean, and of all three laws of control."""
     plan = plan_of("reach", ReachSettings(policy=policy, control=control), "test")
