@@ -15,7 +15,9 @@ from ..sim.base.plugins import distribution_of, fault_of, points
 from .base.exit_codes import ExitCode
 
 _PACKAGES = ("warp-lang", "numpy", "torch", "newton", "mujoco")
-_EXTRAS = {"train": "rsl_rl", "gym": "gymnasium", "taichi": "taichi", "usd": "pxr"}
+#: A module of each extra that users have.
+_EXTRAS = {"train": "rsl_rl", "gym": "gymnasium", "mpc": "pytorch_mppi", "wandb": "wandb", "touch": "rosbags",
+           "robot": "fastapi", "taichi": "taichi", "view": "viser", "usd": "pxr"}  # fmt: skip
 
 
 @dataclass(frozen=True)
