@@ -1,5 +1,6 @@
 """The checks of a law: bough's own pass, each fault is told, the command and a package as a user has them."""
 
+import json
 import os
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from bough.learn.laws.recovery import recover
 from bough.learn.laws.simulated import case_for
 from bough.sim.base.errors import InputError
 from bough.sim.effects import effect_of, effects, registry
+from oracles import json_page
 
 LAW = '''
 """A damper that grows with the angle."""
@@ -171,6 +173,8 @@ def test_the_command_as_a_user_types_it():
     assert bad.returncode == 3, bad.stderr
     assert bad.stdout.startswith("missing  row") and "ok       recovery" in bad.stdout
     assert bad.stdout.endswith("bent_damping: 1 missing\n")
+    told = run(str(written(LAW.replace(*FAULTS["rival"][:2]))), "--json")
+    json_page.check("check-law", json.loads(told.stdout))
     gone = run("nothing.py")
     assert gone.returncode == 2 and gone.stderr == (
         "bough: bough check-law: nothing.py: found no such file; allowed: a Python file\n"
