@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.progress import Progress
 
+from ...sim.base.console import bar
 from ...sim.base.errors import InputError
 from ..cases.case import load_case
 from ..gap.diagnose import find_missing
@@ -60,13 +60,12 @@ def hold(
         else exam_plan(cases, seed, noise=noise, hard=hard, held_back=held_back)
     )
     todo = [(k, s) for k, s in enumerate(plan) if k not in {d["case"] for d in done}]
-    with Progress() as bar, multiprocessing.get_context("spawn").Pool(jobs) as pool:
-        task = bar.add_task("exam", total=cases, completed=cases - len(todo))
+    with bar("exam", len(todo)) as advance, multiprocessing.get_context("spawn").Pool(jobs) as pool:
         for result in pool.imap_unordered(sit, todo):
             with place.open("a") as file:
                 file.write(json.dumps(result) + "\n")
             done.append(result)
-            bar.advance(task)
+            advance(1)
     done = [d for d in done if d["case"] < cases]
     wanted = WANTED_JOINTS if joints else WANTED
     table = grades(done, wanted)

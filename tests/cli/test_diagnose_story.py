@@ -164,6 +164,8 @@ def test_exam_is_marked_and_goes_on(bough):
     assert Path("out/results.jsonl").read_text().startswith(first)
     json_page.check("exam", json.loads(Path("out/exam.json").read_text()))
     assert "false alarm on null" in done.out and (Path("out/confusion.png")).stat().st_size > 10_000
+    again = bough("exam", "--cases", 2, "--jobs", 1, "--out", "out", "--json")  # nothing is left to do
+    assert json.loads(again.out) == json.loads(Path("out/exam.json").read_text())
     bough("exam", "--cases", 0, "--out", "out").refused("--cases")
 
 

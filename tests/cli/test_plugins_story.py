@@ -83,7 +83,7 @@ def test_names_are_told(bough, installed, tmp_path, monkeypatch):
                   r"probe +twist \(someones-parts 1.0\)", r"sampler +mala \(someones-parts 1.0\)",
                   r"task +gone: BROKEN: broken-parts 1.0: task gone: found ModuleNotFoundError: No module named",
                   r"task +misnamed: BROKEN: .*names: found calm; allowed: names with misnamed",
-                  r"effect +bent: BROKEN: clash 1.0: ModuleNotFoundError: No module named 'no_law'",
+                  r"effect +bent: BROKEN: clash 1.0: effect bent: found ModuleNotFoundError: No module named 'no_law'",
                   r"arm +bent: BROKEN: .*found ValueError: no such arm;",
                   r"probe +wild: BROKEN: .*course: found .*-1 to 1",
                   r"sampler +number: BROKEN: .*found TypeError: .*SamplerKind"):  # fmt: skip
