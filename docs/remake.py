@@ -30,8 +30,10 @@ def executed(path: Path, folder: Path) -> Any:
     """Return a notebook as it is after all its cells have run in a folder; a cell that fails raises."""
     notebook = nbformat.read(path, as_version=4)
     beside = str(Path(sys.executable).parent)  # where `bough` is, as in an activated environment
-    client = NotebookClient(notebook, timeout=1800, kernel_name="python3", resources={"metadata": {"path": str(folder)}})
+    where = {"metadata": {"path": str(folder)}}
+    client = NotebookClient(notebook, timeout=1800, kernel_name="python3", resources=where)
     client.execute(env={**os.environ, "PATH": f"{beside}{os.pathsep}{os.environ['PATH']}"})
+    notebook.metadata["language_info"] = {"name": "python"}  # not the version that happened to run it
     for cell in notebook.cells:
         if cell.cell_type == "code":
             cell.outputs, cell.execution_count, cell.metadata = _kept(cell.outputs), None, {}
@@ -41,6 +43,7 @@ def executed(path: Path, folder: Path) -> Any:
 def _kept(outputs: list[Any]) -> list[Any]:
     """Return what a reader is shown: standard output as one text, and pictures."""
     text = "".join(o.text for o in outputs if o.output_type == "stream" and o.name == "stdout")
+    text = re.sub(r"^(Writing|Overwriting) \S+\n", "", text)  # what %%writefile says
     kept = [nbformat.v4.new_output("stream", name="stdout", text=text)] if text else []
     for output in outputs:
         data = output.get("data", {})
@@ -62,7 +65,8 @@ def smaller(png: bytes) -> bytes:
 
 def blocks_of_the_gallery() -> list[tuple[str, str]]:
     """Return the gallery's blocks of code, each with the name of the picture that the page shows below it."""
-    return re.findall(r"```python\n(.*?)```\n\n!\[[^\]]*\]\(images/(gallery_\w+\.png)\)", GALLERY.read_text(), re.DOTALL)
+    pattern = r"```python\n(.*?)```\n\n!\[[^\]]*\]\(images/(gallery_\w+\.png)\)"
+    return re.findall(pattern, GALLERY.read_text(), re.DOTALL)
 
 
 def drawn(code: str, name: str, folder: Path) -> bytes:

@@ -35,7 +35,7 @@ def small(simulated, tmp_path_factory):
 def trained(small, tmp_path_factory):
     """Train on the small folder."""
     out = tmp_path_factory.mktemp("touch") / "model"
-    assert main(["touch", "train", str(small), "--out", str(out)]) == 0
+    assert main(["touch", "train", str(small), "--out", str(out), "--kind", "forest", "--seed", "0"]) == 0
     return out / "model.npz"
 
 
@@ -48,8 +48,9 @@ def test_every_place_is_touched_from_every_side(simulated):
 
 
 def test_recording_is_repeatable(simulated, tmp_path):
-    """Give the same bytes for the same seed."""
-    assert main(["touch", "record", "--out", str(tmp_path / "b"), "--rounds", "1", "--seconds", "3"]) == 0
+    """Give the same bytes for the same seed and force, which are those of a command without them."""
+    same = ["--rounds", "1", "--seconds", "3", "--seed", "0", "--force", "2"]
+    assert main(["touch", "record", "--out", str(tmp_path / "b"), *same]) == 0
     for name in ("00000.csv", "00099.csv", "recordings.csv"):
         assert (tmp_path / "b" / name).read_bytes() == (simulated / name).read_bytes()
 
@@ -65,7 +66,7 @@ def test_fit_finds_the_sensor_that_recorded(simulated, tmp_path, capsys):
 
 def test_evaluate_leaves_one_out(small, tmp_path, capsys):
     """Write a page with its figures inside and numbers that agree with each other."""
-    assert main(["touch", "evaluate", str(small), "--out", str(tmp_path)]) == 0
+    assert main(["touch", "evaluate", str(small), "--out", str(tmp_path), "--kind", "forest", "--seed", "0"]) == 0
     assert re.search(r"AUC 0\.\d+ \(.*specificity .*20 recordings .*report.html", capsys.readouterr().out)
     said = json.loads((tmp_path / "touch.json").read_text())
     (free, wrong), (lost, found) = said["confusion"]
