@@ -1,4 +1,4 @@
-"""A hook of mkdocs: cells with sentences get room, so that no column is a word wide; wide tables scroll by themselves."""
+"""A hook of mkdocs: cells with sentences get room, so that no column is one word wide."""
 
 from __future__ import annotations
 

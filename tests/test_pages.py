@@ -61,6 +61,14 @@ def test_tutorials_become_pages(path):
     assert all(content.startswith(b"\x89PNG") for content in pictures.values())
 
 
+@pytest.mark.parametrize("path", [pytest.param(p, id=p.stem) for p in NOTEBOOKS])
+def test_links_of_tutorials_lead_somewhere(path):
+    """Find the file behind every link of a notebook."""
+    prose = "\n".join(c.source for c in nbformat.read(path, as_version=4).cells if c.cell_type == "markdown")
+    targets = re.findall(r"\]\((?!https?:)([^)#\s]+)", prose)
+    assert targets and [t for t in targets if not (path.parent / t).exists()] == []
+
+
 def test_every_block_of_the_gallery_has_its_picture():
     """Find below each block the picture that it saves, and no picture beside these."""
     page = remake.GALLERY.read_text()
