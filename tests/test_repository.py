@@ -32,9 +32,11 @@ ORDER = re.findall(r"^\| \[`([a-z0-9/]+)/`\]\(\1\) \|", (ROOT / "README.md").rea
 SOURCES = PACKAGE + sorted(p for room in ("tests", "benchmarks") for p in (ROOT / room).rglob("*.py"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+#: Blocks of the gallery are run by test_pages.py, which looks at their pictures.
 EXAMPLES = [
     pytest.param(block, id=f"{page.name}-{i + 1}")
     for page in PAGES
+    if page.name != "gallery.md"
     for i, block in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL))
 ]
 
@@ -199,7 +201,8 @@ def test_links_of_the_pages_lead_somewhere(page):
 def test_site_lists_every_page():
     """Name each page of ``docs`` in the site's navigation, and no other."""
     listed = set(re.findall(r": ([\w/]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
-    assert listed == {str(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}
+    written = [p for kind in ("*.md", "*.ipynb") for p in (ROOT / "docs").rglob(kind)]
+    assert listed == {str(p.relative_to(ROOT / "docs").with_suffix(".md")) for p in written}
 
 
 @pytest.mark.parametrize(
