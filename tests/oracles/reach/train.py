@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import tyro
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from bough.cli.train import Train
 from bough.learn.tasks.ppo_settings import PRESETS
