@@ -163,7 +163,7 @@ def interval(values: np.ndarray, random: np.random.Generator) -> tuple[float, fl
 def measured(options: argparse.Namespace) -> list[Figure]:
     """Measure and print."""
     start_warp()
-    count = 8 if options.quick else 96
+    count = 8 if options.quick else 32
     task = make_task("powerline", num_envs=count, seed=options.seed, device="cpu", test=True)
     random = np.random.default_rng(options.seed)
     views, rows = Views(Cameras(424, 240, seed=options.seed), {}), {}
@@ -257,7 +257,7 @@ def report(rows: dict, views: Views, random: np.random.Generator) -> list[Figure
 
 def parser() -> argparse.ArgumentParser:
     """Make the parser of its options."""
-    out = measuring.quick_and_seed(__doc__, "8 scenes instead of 96")
+    out = measuring.quick_and_seed(__doc__, "8 scenes instead of 32")
     out.add_argument("--picture", help="write what the cameras of the first scene see")
     return out
 

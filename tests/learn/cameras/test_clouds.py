@@ -16,7 +16,7 @@ from bough.sim.cameras.camera import Cameras
 from bough.sim.cameras.label import Label
 from bough.sim.cameras.stereo import StereoDepth
 from matplotlib.colors import rgb_to_hsv
-from oracles.camera_folder import BRANCH, LINE, SIZE, camera, shown_world, write_folder, written_rig
+from oracles.cameras.folder import BRANCH, LINE, SIZE, camera, shown_world, write_folder, written_rig
 
 ARM = jaco2()
 

@@ -18,12 +18,12 @@ from bough.learn.cameras.open import open_clouds
 from bough.learn.cameras.weights import digests, find_models
 from bough.sim.base.errors import InputError
 from bough.sim.cameras.label import Label
-from oracles.camera_folder import write_folder
+from oracles.cameras.folder import write_folder
 
 pytest.importorskip("transformers", reason="vision models need the extra vision: pip install -e '.[vision]'")
 from bough.learn.cameras.grounded import PROMPTS, Grounded, check_prompts
 from bough.learn.cameras.propagate import Propagate, has_tracker
-from oracles.tiny_vision import SIDE, write_weights
+from oracles.cameras.tiny_vision import SIDE, write_weights
 
 HEIGHT, WIDTH = 48, 80
 RIG = plain_rig([Mounted(name="one", position_m=[0, 0, 0], rotation=[1, 0, 0, 0])])
@@ -179,7 +179,7 @@ def test_a_folder_that_is_none(tmp_path):
 
 def test_pictures_become_clouds_through_the_models(weights, tmp_path, capfd):
     """Open a folder with weights as a user would: digests are told, other processes make key frames and clouds."""
-    write_folder(tmp_path / "pictures", frames=900)
+    write_folder(tmp_path / "pictures", frames=18000)
     with open_clouds(str(tmp_path / "pictures"), arm=None, weights=weights, limit=60.0) as clouds:
         end = time.monotonic() + 120.0
         while clouds._board.clouds.count == 0 and not clouds._ended() and time.monotonic() < end:

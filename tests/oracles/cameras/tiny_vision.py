@@ -51,13 +51,13 @@ def _video_config(t):
                 "num_attention_heads_per_stage": [1, 1, 1, 1], "window_size_per_stage": [4, 2, 2, 1],
                 "global_attention_blocks": []}  # fmt: skip
     return t.Sam2VideoConfig(
-        image_size=SIDE, memory_attention_hidden_size=16, memory_attention_feed_forward_hidden_size=16,
-        memory_attention_num_layers=1, memory_attention_rope_feat_sizes=[4, 4], memory_encoder_hidden_size=16,
-        memory_encoder_output_channels=8, memory_fuser_embed_dim=16, memory_fuser_intermediate_dim=16,
-        memory_fuser_num_layers=1, mask_downsampler_embed_dim=16,
-        prompt_encoder_config={"hidden_size": 16, "image_size": SIDE, "patch_size": 16, "mask_input_channels": 4},
-        mask_decoder_config={"hidden_size": 16, "mlp_dim": 16, "num_hidden_layers": 1, "num_attention_heads": 2,
+        image_size=SIDE, memory_attention_hidden_size=128, memory_attention_feed_forward_hidden_size=16,
+        memory_attention_num_layers=1, memory_attention_rope_feat_sizes=[4, 4], memory_encoder_hidden_size=128,
+        memory_encoder_output_channels=64, memory_fuser_embed_dim=128, memory_fuser_intermediate_dim=16,
+        memory_fuser_num_layers=1, mask_downsampler_embed_dim=128,
+        prompt_encoder_config={"hidden_size": 128, "image_size": SIDE, "patch_size": 16, "mask_input_channels": 4},
+        mask_decoder_config={"hidden_size": 128, "mlp_dim": 16, "num_hidden_layers": 1, "num_attention_heads": 2,
                              "iou_head_hidden_dim": 16},
-        vision_config={"backbone_channel_list": [64, 32, 16, 8], "fpn_hidden_size": 16,
+        vision_config={"backbone_channel_list": [64, 32, 16, 8], "fpn_hidden_size": 128,
                        "backbone_feature_sizes": [[16, 16], [8, 8], [4, 4]], "backbone_config": backbone},
     )  # fmt: skip
