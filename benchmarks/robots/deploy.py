@@ -8,7 +8,7 @@ and policy code, as fast as the machine is. Episodes end at success, which nothi
 
 Without ``--run`` a policy of ``reach`` (PCAP) is trained first.
 
-Run: ``python benchmarks/deploy.py [--run FOLDER] [--camera truth|twin] [--episodes n] [--quick]``
+Run: ``python benchmarks/robots/deploy.py [--run FOLDER] [--camera truth|twin] [--episodes n] [--quick]``
 """
 
 from __future__ import annotations
@@ -21,9 +21,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import measuring
 import numpy as np
 import torch
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # where what all benchmarks share is
+
+import measuring
 from bough.learn.cameras.clouds import capsules_at, cloud_of, joined
 from bough.learn.cameras.colours import ByColour
 from bough.learn.cameras.frames import Clouds, Frame
