@@ -25,7 +25,7 @@ from ..tasks.registry import TaskRegistry
 from .feel import Feel
 from .film import Footage
 from .log import LOG, RunLog
-from .loop import Episode, Link, Runner, Senses
+from .loop import Episode, Link, Runner, Senses, prepare
 from .plan import REACHES, Driver, read_driver
 from .report import summary, write
 from .truth import FAST, SLOW, TruthClouds, TwinTruth
@@ -247,6 +247,7 @@ def run(order: Order, registry: TaskRegistry, hooks: Hooks) -> Ended:
         OSError: There is no room for the log; the arm was stopped.
     """
     driver, touch = read_order(order, registry)
+    prepare(driver)
     session = Session(order, driver, touch)
     try:
         order.out.mkdir(parents=True, exist_ok=True)
@@ -264,7 +265,6 @@ def _run(session: Session, log: RunLog, hooks: Hooks) -> Ended:
     episodes: list[Episode] = []
     trouble = ""
     with one_thread():
-        runner.prepare()
         try:
             with first_in_line():
                 for number in range(order.episodes):
@@ -352,11 +352,11 @@ def dry_run(order: Order, registry: TaskRegistry, told: Callable[[State, Array],
         RobotError: The camera or the service is gone.
     """
     driver, touch = read_order(order, registry)
+    prepare(driver)
     session = Session(order, driver, touch, moves=False)
     try:
         with one_thread():
             runner = session.runner(Withheld(session.robot, told), None)
-            runner.prepare()
             return runner.run(0)
     finally:
         session.close()

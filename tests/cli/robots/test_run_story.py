@@ -108,7 +108,7 @@ def test_a_dry_run_prints_what_it_would_send_and_sends_nothing(served, policies,
     before = served.ask("/status")[1]["accepted"]
     options = ("--camera", "truth", "--touch", "none", "--dry-run", "--seconds", "0.2")
     ran = bough("run", policies / "powerline", "--robot", where(served), *options)
-    assert ran.code == 0 and ran.out.count("would send") >= 5 and "Sent nothing" in ran.out, ran.err
+    assert ran.code == 0 and ran.out.count("would send") >= 2 and "Sent nothing" in ran.out, ran.err
     assert served.ask("/status")[1]["accepted"] == before
 
 
