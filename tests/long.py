@@ -11,7 +11,7 @@ _CHAINS = "long chains against known moments; make test keeps SVGD and one case 
 _KILLED = "kills and repeats a command of half a minute; make test keeps killed trainings"
 _OTHER = "the same as one that make test keeps, on another scene or width"
 _PAGES = "compiles kernels or trains for an example of a page; make test runs those of README, tour and API"
-_TUTORIALS = "a whole tutorial (15 to 40 s of CPU); make test runs the first, and turns all into pages"
+_TUTORIALS = "a whole tutorial (15 to 40 s of CPU); make test turns all into pages, runs the API's examples"
 _GALLERY = "a block of the gallery (3 to 8 s of CPU); make test runs the one with four species"
 _GPU = "compiles a large kernel for a GPU; make test keeps the plain step and the one with laws in float32"
 
@@ -100,13 +100,7 @@ LONG = {
     "sim/engine/test_gpu_ready.py::test_the_gpu_benchmark_runs_on_a_cpu": "the whole script of a GPU's measurements",
     "sim/engine/test_gpu_ready.py::test_kernels_of_the_arm_compile_for_a_gpu[contact": _GPU,
     "sim/wood/test_wood_effects.py::test_a_task_s_worlds_feel_the_wind_and_live_it_again": _LAWS,
-    "test_pages.py::test_tutorials_run[lift_kernel]": _TUTORIALS,
-    "test_pages.py::test_tutorials_run[many_gpus]": _TUTORIALS,
-    "test_pages.py::test_tutorials_run[own_branch]": _TUTORIALS,
-    "test_pages.py::test_tutorials_run[train_policy]": _TUTORIALS,
-    "test_pages.py::test_tutorials_run[why_disagree]": _TUTORIALS,
-    "test_pages.py::test_tutorials_run[write_law]": _TUTORIALS,
-    "test_pages.py::test_tutorials_run[write_task]": _TUTORIALS,
+    "test_pages.py::test_tutorials_run": _TUTORIALS,
     "test_pages.py::test_the_gallery_s_code_draws_what_the_page_shows[gallery_a": _GALLERY,
     "test_pages.py::test_the_gallery_s_code_draws_what_the_page_shows[gallery_l": _GALLERY,
     "test_pages.py::test_the_gallery_s_code_draws_what_the_page_shows[gallery_p": _GALLERY,
