@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+import warnings
 import zipfile
 from email.parser import Parser
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import get_args, get_type_hints
 
 import pytest
 from bough.cli.info import _EXTRAS
-from bough.cli.main import Command
+from bough.cli.main import Command, main
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
@@ -32,9 +33,11 @@ ORDER = re.findall(r"^\| \[`([a-z0-9/]+)/`\]\(\1\) \|", (ROOT / "README.md").rea
 SOURCES = PACKAGE + sorted(p for room in ("tests", "benchmarks") for p in (ROOT / room).rglob("*.py"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+#: Blocks of the gallery are run by test_pages.py, which looks at their pictures.
 EXAMPLES = [
     pytest.param(block, id=f"{page.name}-{i + 1}")
     for page in PAGES
+    if page.name != "gallery.md"
     for i, block in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL))
 ]
 
@@ -157,9 +160,18 @@ def _commands(choice, before=()):
         yield from _commands(first, words) if not others and len(get_args(first)) > 1 else [words]
 
 
-def test_commands_of_the_pages_exist():
+def _help(words, capsys):
+    """Return what a command's help prints; tests of the command line ask for one in a process of its own."""
+    with pytest.raises(SystemExit) as done:
+        main([*words, "--help"])
+    assert done.value.code in (None, 0)
+    return capsys.readouterr().out
+
+
+def test_commands_of_the_pages_exist(capsys, monkeypatch):
     """Find every ``bough`` command and option that a page names in the command's help."""
     commands = {" ".join(words) for words in _commands(Command)}
+    monkeypatch.setattr("warnings.showwarning", warnings.showwarning)  # `main` shows them its own way
     names, helps, begun = "|".join(sorted(commands, reverse=True)), {}, {words.split()[0] for words in commands}
     for page in [*PAGES, ROOT / "Makefile"]:
         text = page.read_text()
@@ -167,19 +179,21 @@ def test_commands_of_the_pages_exist():
             assert word in begun, f"{name_of(page)}: bough {word}"
         for command, rest in re.findall(rf"bough ({names})\b([^`\n]*(?:\n {{4,}}(?!bough )\S[^`\n]*)*)", text):
             if command not in helps:
-                run = [sys.executable, "-m", "bough", *command.split(), "--help"]
-                helps[command] = subprocess.run(run, check=True, capture_output=True, text=True).stdout
+                helps[command] = _help(command.split(), capsys)
             for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", rest):
                 assert option in helps[command], f"{name_of(page)}: bough {command} has no {option}"
     assert set(helps) == commands
 
 
 @pytest.mark.parametrize("block", EXAMPLES)
-def test_examples_of_the_pages_run(block, tmp_path):
-    """Run each Python example of the README and the pages as a program of its own."""
+def test_examples_of_the_pages_run(block, tmp_path, forked, request):
+    """Run each Python example of the README and the pages as a program of its own; the README's import all anew."""
     path = tmp_path / "example.py"  # a file, so that a kernel it may define has source
     path.write_text(block)
-    done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    if request.node.callspec.id.startswith("README") or not forked.suits():
+        done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    else:
+        done = forked.run(path)
     assert done.returncode == 0, done.stderr
 
 
@@ -199,7 +213,8 @@ def test_links_of_the_pages_lead_somewhere(page):
 def test_site_lists_every_page():
     """Name each page of ``docs`` in the site's navigation, and no other."""
     listed = set(re.findall(r": ([\w/]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
-    assert listed == {str(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}
+    written = [p for kind in ("*.md", "*.ipynb") for p in (ROOT / "docs").rglob(kind)]
+    assert listed == {str(p.relative_to(ROOT / "docs").with_suffix(".md")) for p in written}
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ def small(simulated, tmp_path_factory):
 def trained(small, inside, tmp_path_factory):
     """Train on the small folder."""
     out = tmp_path_factory.mktemp("touch") / "model"
-    done = inside("touch", "train", small, "--out", out, "--json")
+    done = inside("touch", "train", small, "--out", out, "--kind", "forest", "--seed", 0, "--json")
     assert done.code == 0, done.err
     json_page.check("touch train", json.loads(done.out))
     return out / "model.npz"
@@ -51,8 +51,9 @@ def test_every_place_is_touched_from_every_side(simulated):
 
 
 def test_recording_is_repeatable(simulated, inside, tmp_path):
-    """Give the same bytes for the same seed."""
-    done = inside("touch", "record", "--out", tmp_path / "b", "--rounds", 1, "--seconds", 3, "--json")
+    """Give the same bytes for the same seed and force, which are those of a command without them."""
+    same = ["--rounds", 1, "--seconds", 3, "--seed", 0, "--force", 2]
+    done = inside("touch", "record", "--out", tmp_path / "b", *same, "--json")
     assert done.code == 0, done.err
     json_page.check("touch record", json.loads(done.out))
     for name in ("00000.csv", "00099.csv", "recordings.csv"):
@@ -71,7 +72,7 @@ def test_fit_finds_the_sensor_that_recorded(simulated, tmp_path, capsys):
 
 def test_evaluate_leaves_one_out(small, tmp_path, capsys):
     """Write a page with its figures inside and numbers that agree with each other."""
-    assert main(["touch", "evaluate", str(small), "--out", str(tmp_path)]) == 0
+    assert main(["touch", "evaluate", str(small), "--out", str(tmp_path), "--kind", "forest", "--seed", "0"]) == 0
     assert re.search(r"AUC 0\.\d+ \(.*specificity .*20 recordings .*report.html", capsys.readouterr().out)
     said = json.loads((tmp_path / "touch.json").read_text())
     json_page.check("touch evaluate", said)
