@@ -109,7 +109,7 @@ def seen(task: Powerline, world: int, views: Views, leaves: bool, seed: int) -> 
 
 
 def kernel_clouds(task: Powerline) -> tuple[np.ndarray, np.ndarray]:
-    """Return the kernel's clouds [worlds, 3, 512, 3] of robot, target and branches, and marks of branches near [worlds, 512]."""
+    """Return clouds [worlds, 3, 512, 3] of robot, target, branches, and marks of branches near the line."""
     points, near = task.sensor.clouds(noise=False)
     return points.mT.numpy().copy(), near.numpy().astype(bool)
 
@@ -163,7 +163,7 @@ def interval(values: np.ndarray, random: np.random.Generator) -> tuple[float, fl
 def measured(options: argparse.Namespace) -> list[Figure]:
     """Measure and print."""
     start_warp()
-    count = 8 if options.quick else 96
+    count = 8 if options.quick else 32
     task = make_task("powerline", num_envs=count, seed=options.seed, device="cpu", test=True)
     random = np.random.default_rng(options.seed)
     views, rows = Views(Cameras(424, 240, seed=options.seed), {}), {}
@@ -225,8 +225,8 @@ def picture(shot: Shot, path: str) -> None:
     depth = np.clip(shot.depth / 1.6, 0, 1)[..., None] * np.array([255, 255, 255])
     label = shot.label[..., None] * np.array([50, 50, 50])
     rows = [
-        np.hstack([c, d.astype(np.uint8), l.astype(np.uint8)])
-        for c, d, l in zip(shot.colour, depth, label, strict=True)
+        np.hstack([c, d.astype(np.uint8), t.astype(np.uint8)])
+        for c, d, t in zip(shot.colour, depth, label, strict=True)
     ]
     PIL.Image.fromarray(np.vstack(rows)).save(path)
 
@@ -257,7 +257,7 @@ def report(rows: dict, views: Views, random: np.random.Generator) -> list[Figure
 
 def parser() -> argparse.ArgumentParser:
     """Make the parser of its options."""
-    out = measuring.quick_and_seed(__doc__, "8 scenes instead of 96")
+    out = measuring.quick_and_seed(__doc__, "8 scenes instead of 32")
     out.add_argument("--picture", help="write what the cameras of the first scene see")
     return out
 

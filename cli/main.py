@@ -28,6 +28,7 @@ from .info import Info
 from .play import Play
 from .replay import Replay
 from .reproduce import Reproduce
+from .robots.cameras import Camera
 from .robots.recordings import ImportCase, NewCase, Record
 from .robots.robot import Robot
 from .robots.run import Run
@@ -63,6 +64,7 @@ Command = (
     | Annotated[Touch, tyro.conf.subcommand("touch")]
     | Annotated[Robot, tyro.conf.subcommand("robot")]
     | Annotated[Run, tyro.conf.subcommand("run")]
+    | Annotated[Camera, tyro.conf.subcommand("camera")]
 )
 
 

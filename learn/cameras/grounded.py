@@ -59,12 +59,7 @@ class Grounded:
         self._finder = load(library.GroundingDinoForObjectDetection, found["grounding-dino"])
         self._cutter = load(library.SamHQModel, found["sam_hq"])
         self._colours = [colours(found[kind]) for kind in ("grounding-dino", "sam_hq")]
-        try:
-            words = library.AutoTokenizer.from_pretrained(found["grounding-dino"], local_files_only=True,
-                                                          trust_remote_code=False)  # fmt: skip
-        except Exception as error:
-            raise InputError(found["grounding-dino"], "", f"no tokenizer ({type(error).__name__})",
-                             "tokenizer.json beside the weights") from None  # fmt: skip
+        words = _tokenizer(library, found["grounding-dino"])
         text = "".join(f"{p}. " for p in self._prompts).strip()
         self._words = dict(words([text], return_tensors="pt"))
         self._of = _token_prompts(self._words["input_ids"][0].tolist(), words)
@@ -120,6 +115,21 @@ def check_prompts(prompts: tuple[str, ...]) -> tuple[str, ...]:
     if len(chosen) != 2 or any("." in p or not any(c.isalpha() for c in p) or len(p) > 60 for p in chosen):
         raise InputError("camera", "prompt", f"{list(prompts)}", "two short texts without a full stop: branches, line")
     return tuple(p.lower().strip() for p in chosen)
+
+
+def _tokenizer(library: Any, folder: Path) -> Any:
+    """Return the tokenizer beside the weights.
+
+    Raises:
+        InputError: There is none, or it cannot be read.
+    """
+    allowed = "tokenizer.json or vocab.txt beside the weights"
+    if not any((folder / name).is_file() for name in ("tokenizer.json", "vocab.txt")):
+        raise InputError(folder, "", "no tokenizer", allowed)
+    try:
+        return library.AutoTokenizer.from_pretrained(folder, local_files_only=True, trust_remote_code=False)
+    except Exception as error:  # whatever a damaged file makes the library raise
+        raise InputError(folder, "", f"a tokenizer that cannot be read ({type(error).__name__})", allowed) from None
 
 
 def _token_prompts(tokens: list[int], words: Any) -> list[list[int]]:

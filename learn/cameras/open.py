@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ...sim.arms.arm import Arm
 from ...sim.base.errors import InputError, shortened
@@ -16,6 +18,7 @@ from .colours import ByColour
 from .pipeline import LIMIT, CameraClouds
 from .source import Source, TwinSource
 from .weights import digests, import_transformers
+from .workers import Segmenter
 
 SPECS = "twin, realsense:SERIAL[,SERIAL...], a folder with cameras.yaml and frames.csv, or a ROS bag"
 
@@ -40,23 +43,35 @@ def open_clouds(
     Raises:
         InputError: No such cameras, a calibration or weights that cannot be read, or an extra that is not installed.
     """
-    source, rig = open_source(spec, url=url, token=token, certificate=certificate, calibration=calibration)
     if not 0 < limit < 3600:
         raise InputError("camera", "limit", f"{limit}", "seconds above zero")
+    source, rig = open_source(spec, url=url, token=token, certificate=certificate, calibration=calibration)
+    make = segmenter_of(rig, weights, prompts)
+    if weights is None:
+        return CameraClouds(source, rig, arm, limit=limit, segmenter=make)
+    from .propagate import Propagate, has_tracker
+
+    tracker = partial(Propagate, weights) if has_tracker(weights) else None
+    return CameraClouds(source, rig, arm, limit=limit, segmenter=make, keyed=True, tracker=tracker)
+
+
+def segmenter_of(rig: Rig, weights: Path | None, prompts: Sequence[str]) -> Callable[[], Segmenter]:
+    """Return what makes a segmenter, by colour or with weights, whose SHA-256 are printed on stderr.
+
+    Raises:
+        InputError: Weights that cannot be used, prompts without weights, or an extra that is not installed.
+    """
     if weights is None:
         if prompts:
             raise InputError("camera", "prompt", shortened(list(prompts)), "prompts for the weights of a segmenter")
-        return CameraClouds(source, rig, arm, limit=limit, segmenter=partial(ByColour, rig))
+        return partial(ByColour, rig)
     import_transformers()
     from .grounded import Grounded, check_prompts
-    from .propagate import Propagate, has_tracker
 
     check_prompts(tuple(prompts))
     for file, digest in digests(weights).items():
         print(f"{file}: SHA-256 {digest}", file=sys.stderr, flush=True)
-    tracker = partial(Propagate, weights) if has_tracker(weights) else None
-    return CameraClouds(source, rig, arm, limit=limit, segmenter=partial(Grounded, weights, rig, tuple(prompts)),
-                        keyed=True, tracker=tracker)  # fmt: skip
+    return partial(Grounded, weights, rig, tuple(prompts))
 
 
 def open_source(
@@ -108,8 +123,6 @@ def twin_rig(bearing: float = -0.785) -> Rig:
         bearing: Direction from the base to what is looked at, counted from x towards y [rad]; the default is where the
             Jaco 2 faces at home.
     """
-    import numpy as np
-
     ahead = np.array([np.cos(bearing), np.sin(bearing), 0.0])
     side, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
     middle = 0.5 * ahead + 0.55 * up

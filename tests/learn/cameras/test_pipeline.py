@@ -16,7 +16,7 @@ from bough.learn.cameras.colours import ByColour
 from bough.learn.cameras.pipeline import CameraClouds
 from bough.learn.cameras.ring import Ring
 from bough.sim.arms.jaco2 import jaco2
-from oracles.camera_sources import DEPTH, Carry, Slow, Wall, level_rig
+from oracles.cameras.sources import DEPTH, Carry, Slow, Wall, level_rig
 
 START = 60.0  # s that processes may take to start where eight of them share two cores
 LIMIT = 0.4
@@ -140,7 +140,7 @@ sys.path.insert(0, {tests!r})
 from functools import partial
 from bough.learn.cameras.colours import ByColour
 from bough.learn.cameras.pipeline import CameraClouds
-from oracles.camera_sources import Wall, level_rig
+from oracles.cameras.sources import Wall, level_rig
 if __name__ == "__main__":
     clouds = CameraClouds(Wall(), level_rig(), None, segmenter=partial(ByColour, level_rig()))
     while clouds.latest() is None:
