@@ -49,7 +49,7 @@ class Benchmark:
         name: What it is called.
         measures: What it measures, in a sentence.
         peer: What it is measured beside, in the same run; None where there is none.
-        script: The file below this folder, without its suffix, whose ``measured`` gives the figures.
+        script: The file, from this folder on, whose ``measured`` gives the figures.
         arguments: Options of the script; ``{out}`` is a folder for what it writes.
         quick: Options that make it quick instead, to try it.
         bounds: What its figures must keep to.

@@ -25,13 +25,11 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-import torch
-from scipy.spatial import cKDTree
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # where what all benchmarks share is
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import measuring
+import numpy as np
+import torch
 from bough.learn.cameras.calibration import Mounted, Rig, plain_rig
 from bough.learn.cameras.clouds import beside, capsules_at, cloud_of, contract, joined
 from bough.learn.cameras.colours import ByColour
@@ -47,6 +45,7 @@ from bough.sim.cameras.pinhole import Pinhole
 from bough.sim.cameras.world import World
 from bough.sim.pictures.foliage import foliage
 from measuring import Figure
+from scipy.spatial import cKDTree
 
 TWIGS = 3  # on each outer link
 STEPS = 30  # of random motion, at 10 Hz

@@ -21,12 +21,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # where what all benchmarks share is
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import measuring
+import numpy as np
+import torch
 from bough.learn.cameras.clouds import capsules_at, cloud_of, joined
 from bough.learn.cameras.colours import ByColour
 from bough.learn.cameras.frames import Clouds, Frame

@@ -19,10 +19,10 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # where what all benchmarks share is
 import measuring
+import numpy as np
 from bough.learn.robot.log import joint_columns
 from measuring import Figure
 from oracles.robot.service import CLIENT, Served, moving_client
