@@ -145,6 +145,7 @@ class Session:
         try:
             self.truth = self._open_truth()
             self.clouds = self._open_clouds()
+            self.target()  # said before anything is written
             if self.truth is None:
                 self._check_home()
             if moves:

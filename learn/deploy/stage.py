@@ -145,6 +145,7 @@ class Stage:
             self.task.end_step()
             self._measures = {name: float(value[0]) for name, value in self.task.measured().items()}
             self._over = bool(self.task.done[0])
+            self.task.simulator.look()
             self.task.sense()
 
     # ---- what only a twin has ----------------------------------------------------------------------------------------
@@ -162,6 +163,7 @@ class Stage:
     def scene(self) -> bytes:
         """Return the world as it is, for cameras in another process (`sim.cameras.described`)."""
         with self._lock:
+            self.task.simulator.look()
             sim, age = self.task.simulator, 0.0 if self._until is None else time.monotonic() - self._until
             hand, turn = (x[0].numpy().astype(np.float64) for x in (sim.end_position, sim.end_rotation))
             ground = min(0.0, float(self.task.foot[0, 2]))
@@ -181,6 +183,7 @@ class Stage:
           ``occlusion`` and ``breach`` as it scores them.
         """
         with self._lock:
+            self.task.simulator.look()
             out = {f"measure {name}": np.array(value) for name, value in self._measures.items()}
             out |= {"number": np.array(self.number), "seconds": np.array(self._steps / _STEPS),
                     "over": np.array(self._over)}  # fmt: skip

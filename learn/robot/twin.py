@@ -83,6 +83,7 @@ class Twin:
 
     def scene(self) -> bytes:
         """Return the world as it is, for cameras in another process (`sim.cameras.described`)."""
+        self.simulator.look()
         sim, age = self.simulator, 0.0 if self._until is None else time.monotonic() - self._until
         hand, turn = (x[0].numpy().astype(np.float64) for x in (sim.end_position, sim.end_rotation))
         return packed(Scene(arm_world(sim, 0, self._ground), age, hand, turn))

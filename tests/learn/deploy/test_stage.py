@@ -17,6 +17,7 @@ from bough.learn.robot.limits import default_limits
 from bough.learn.robot.wire import packed, unpacked
 from bough.learn.tasks.reach_settings import ReachSettings
 from bough.learn.tasks.settings import TaskSettings
+from bough.sim.arms.arm import arm_capsules
 from bough.sim.base.errors import InputError
 from bough.sim.cameras.described import unpacked as scene_of
 from bough.sim.cameras.world import Label
@@ -41,6 +42,9 @@ def test_a_stage_counts_as_its_task_does(name):
     expected = {f"measure {key}": float(value[0]) for key, value in task.measured().items()}
     assert {key: float(told[key]) for key in expected} == pytest.approx(expected, abs=1e-6)
     assert float(told["seconds"]) == pytest.approx(2.0) and not told["over"]
+    arm, q = int(told["arm"]), stage.task.simulator.q[0].numpy().astype(float)
+    assert np.abs(q - plan.arm.home).max() > 0.1, "the arm has moved, and what is told of it with it"
+    np.testing.assert_allclose(told["start"][:arm], arm_capsules(plan.arm, q)[0], atol=1e-5)
     if name == "reach":
         assert expected["measure distance"] > 0.05
     else:

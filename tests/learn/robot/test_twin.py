@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 from bough.learn.robot.twin import Twin
+from bough.sim.arms.arm import arm_capsules
 from bough.sim.arms.jaco2 import jaco2
+from bough.sim.cameras.described import unpacked
+from bough.sim.cameras.label import Label
 
 ARM = jaco2()
 
@@ -61,3 +64,12 @@ def test_a_hidden_effect_acts():
             way.append(float((simulator.observe()[0][0] - start).norm()))
         turning.append(int(np.argmax(way)))
     assert 5 < turning[0] < 0.8 * turning[1] < 190, turning
+
+
+def test_cameras_are_told_where_the_arm_is_now(alone):
+    """Turn a joint for half a second: the capsules that cameras are told are those at the measured joints."""
+    q = drive(alone, [0.4, 0, 0, 0.3, 0, 0], 0.5, 200.0)[-1].q
+    world = unpacked(alone.scene()).world
+    seen = world.solids.start[world.label == Label.ROBOT]
+    start, _ = arm_capsules(ARM, q)
+    assert np.abs(seen - start).max() < 1e-4 < np.abs(start - arm_capsules(ARM, ARM.home)[0]).max()
