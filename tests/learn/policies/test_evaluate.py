@@ -19,8 +19,8 @@ from bough.learn.tasks.measures import CLEARING_COLUMNS
 from bough.learn.tasks.task import unseen_seed
 from bough.sim.base.errors import InputError
 from oracles import json_page
-from oracles.reach_task import LENGTH, ReachSettings, registry
-from oracles.train_reach import short_run
+from oracles.reach.task import LENGTH, ReachSettings, registry
+from oracles.reach.train import short_run
 
 COLUMNS = tuple(column.name for column in CLEARING_COLUMNS)
 

@@ -13,8 +13,8 @@ from bough.learn.runs.folder import RunFolder
 from bough.sim.base.errors import InputError
 from onnx.reference import ReferenceEvaluator
 from oracles import json_page
-from oracles.reach_task import ReachSettings, registry
-from oracles.train_reach import short_run
+from oracles.reach.task import ReachSettings, registry
+from oracles.reach.train import short_run
 
 
 @pytest.fixture(scope="module")
