@@ -5,7 +5,7 @@ of the same kind. An entry that fits no test is an error.
 """
 
 _SEARCH = "a whole search (10 to 100 s); make test keeps a null, a hidden drag found and shown, and the real pendulum"
-_REAL = "a real recording (6 s each; silverbox minutes); make test keeps the pendulum, the arm and a tree"
+_REAL = "a real recording (6 s each; silverbox more); make test keeps the pendulum, the arm and a tree"
 _LAWS = "compiles a contact kernel of its own with laws (15 to 40 s); make test keeps the one with five laws in 8 lanes"
 _CHAINS = "long chains against known moments; make test keeps SVGD and one case of each chain"
 _KILLED = "kills and repeats a command of half a minute; make test keeps killed trainings"
