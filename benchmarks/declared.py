@@ -199,6 +199,11 @@ BENCHMARKS = (
         bounds=(Bound("3 cameras", "occlusion", most=0.25), Bound("mask BRANCH", "found", least=0.9)),
     ),
     Benchmark(
+        "deploy", "A trained policy end to end on the twin, behind the guard, in the scenes of its task's own test.",
+        "the same policy in its task, with perfect clouds and forces", "deploy", 15, (), ("--quick",),
+        bounds=(Bound("end to end", "points lost", most=10.0, unit="points"),),
+    ),
+    Benchmark(
         "accuracy", "Error of 60 random trees' motion, float32, against a converged MuJoCo run.",
         "C MuJoCo at the same step", "accuracy", 4, (), ("--trees", "10"), bounds=_accuracy_bounds(0.1),
     ),

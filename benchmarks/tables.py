@@ -252,12 +252,13 @@ def cameras(found: Last) -> str:
         for what in names:
             figure = None if what == "off" and case.startswith("kernel") else found.get(case, what)
             low, high = (0.0, 0.0) if figure is None or figure.range is None else figure.range
-            row.append("" if figure is None else f"{figure.value:.3g} ({low:.2g} to {high:.2g})")
+            between = f"({low:.0f} to {high:.0f})" if high >= 20 else f"({low:.2g} to {high:.2g})"
+            row.append("" if figure is None else f"{figure.value:.3g} {between}")
         body.append(row)
     trace, segment = (found.get("processor time of a picture", what).value for what in ("trace", "segment"))
     where = origin("cameras", found, "warp")
-    tail = f"""{where}. In brackets 95 % intervals of the mean over scenes. A picture of 424 x 240 pixels took {trace:.0f}
-        ms of processor time to trace, masks and points of it {segment:.0f} ms."""
+    tail = f"""{where}. In brackets 95 % intervals of the mean over scenes. A picture of 424 x 240 pixels took
+        {trace:.0f} ms of processor time to trace, masks and points of it {segment:.0f} ms."""
     return lines([["", *names.values()], *body]) + "\n\n" + paragraph(tail)
 
 
