@@ -23,7 +23,8 @@ from oracles.forked import Forked  # noqa: E402
 
 #: Files that take longest, in this order. They begin first, so that no worker is left with one when the other is done.
 FIRST = (
-    "learn/gap/test_gap.py", "learn/gap/test_gap_real.py", "cli/test_diagnose_story.py", "test_pages.py", "test_repository.py",
+    "learn/gap/test_gap.py", "learn/gap/test_gap_real.py", "cli/test_diagnose_story.py", "test_pages.py",
+    "test_repository.py",
     "cli/test_train_story.py", "learn/gap/test_joint_intervals.py", "learn/hidden/test_forms.py",
     "learn/thesis/test_chapter3.py", "cli/test_identify_story.py", "learn/gap/test_gap_joints.py",
     "learn/gap/test_gap_nested.py", "sim/arms/test_contact_worlds.py", "sim/arms/test_contact.py",

@@ -1,4 +1,4 @@
-"""Commands of robots, their cameras and what they record: service, policies on an arm, recordings made into cases.
+"""Commands of robots and their cameras, policies on arms, recordings made into cases.
 
 Uses: `sim.base`, `sim.engine`, `sim.arms`, `learn.cases`, `learn.touch`, `learn.robot`, `learn.recordings`,
 `learn.cameras`, `learn.tasks`, `learn.policies`, `learn.deploy`, `cli.base`.

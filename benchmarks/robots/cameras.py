@@ -14,7 +14,7 @@ all surfaces, hidden ones too. What two draws of the kernel differ by is the flo
 Intervals are 95 %, of the mean over scenes, by bootstrap. Processor time of a picture and of what is made of it is
 told too, on one thread.
 
-Run: ``python benchmarks/cameras.py [--quick] [--seed n] [--picture FILE.png]``
+Run: ``python benchmarks/robots/cameras.py [--quick] [--seed n] [--picture FILE.png]``
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ import argparse
 import sys
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import measuring
 import numpy as np

@@ -8,7 +8,7 @@ and policy code, as fast as the machine is. Episodes end at success, which nothi
 
 Without ``--run`` a policy of ``reach`` (PCAP) is trained first.
 
-Run: ``python benchmarks/deploy.py [--run FOLDER] [--camera truth|twin] [--episodes n] [--quick]``
+Run: ``python benchmarks/robots/deploy.py [--run FOLDER] [--camera truth|twin] [--episodes n] [--quick]``
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import measuring
 import numpy as np
