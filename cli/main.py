@@ -28,7 +28,7 @@ from .info import Info
 from .play import Play
 from .replay import Replay
 from .reproduce import Reproduce
-from .robots.recordings import ImportCase, NewCase, Record
+from .robots.recordings import ImportArm, ImportCase, NewCase, Record
 from .robots.robot import Robot
 from .simulate import Simulate, simulate_case
 from .touch import Touch
@@ -47,6 +47,7 @@ Command = (
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[NewCase, tyro.conf.subcommand("new-case")]
     | Annotated[ImportCase, tyro.conf.subcommand("import-case")]
+    | Annotated[ImportArm, tyro.conf.subcommand("import-arm")]
     | Annotated[Record, tyro.conf.subcommand("record")]
     | Annotated[Identify, tyro.conf.subcommand("identify")]
     | Annotated[Hide, tyro.conf.subcommand("hide")]
