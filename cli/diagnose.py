@@ -19,8 +19,8 @@ from .base.exit_codes import ExitCode
 class Diagnose:
     """Find where simulation and measurement disagree, name the missing effect, add it, show the held-out error shrink.
 
-    Writes verdict.json, model.yaml, figures and report.html. Of an arm's free recordings (docs/arm_gap.md) it says what the
-    servos' model lacks. Exit code 0: done, whatever the verdict; 2: bad input, nothing written.
+    Writes verdict.json, model.yaml, figures and report.html. Of an arm's free recordings (docs/arm_gap.md) it says what
+    the servos' model lacks. Exit code 0: done, whatever the verdict; 2: bad input, nothing written.
 
     Attributes:
         case: Case folder: meta.yaml and one CSV file per trajectory.
@@ -47,10 +47,9 @@ class Diagnose:
 
     def run(self) -> int:
         """Diagnose the case and say what came out and where the report is."""
+        from ..learn.cases.arm import is_arm_case
         from ..learn.cases.case import load_case
         from ..learn.gap.diagnosis import Settings
-
-        from ..learn.cases.arm import is_arm_case
 
         names = tuple(name for entry in self.effects for name in entry.split(","))
         if is_arm_case(self.case):

@@ -89,7 +89,7 @@ class Arm:
 class ArmState:
     """What a user reads and writes, [worlds, dof] or [worlds].
 
-    ``waiting`` [slots, worlds, dof] holds the last targets, ``beat`` counts substeps, ``obeyed`` is the target in force.
+    ``waiting`` [slots, worlds, dof] holds the last targets, ``beat`` is the next slot, ``obeyed`` the target in force.
     """
 
     q: wp.array2d(dtype=wp.float32)

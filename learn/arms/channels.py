@@ -3,13 +3,12 @@
     torque:  tau = m(q, q', q'') + o_r + D q'                  m the known mechanism, o_r a constant of the recording
     speed:   Dq / Dt = mean command - m / K                    K the gain of the servo (`sim.arms.arm.Arm`)
 
-Speeds are means over a window between samples, so that no derivative of a command is needed; torques, positions and the
-mechanism's torques are averaged over the same window. Where the torques hold the weight, it belongs to m. Constants of a
-recording are the torque sensor's: it drifts from one recording to the next.
+Speeds are means over a window between samples, so that no derivative of a command is needed; torques, positions and
+the mechanism's torques are averaged over the same window. Where the torques hold the weight, it belongs to m. Constants
+of a recording are the torque sensor's: it drifts from one recording to the next.
 
-Errors of torques remember the past for a second, so rows are no independent evidence. Blocks are: recordings where there
-are enough of them, those much longer than others in pieces, else pieces of at least `LEAST_BLOCK`. What is learnt from
-all blocks but one is tested on it.
+Errors of torques remember the past for a second, so rows are no independent evidence. Blocks are: recordings, in pieces
+of at least `LEAST_BLOCK`. What is learnt from all blocks but one is tested on it.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ from ..cases.arm import ArmCase, ArmTrajectory
 
 Kind = Literal["torque", "speed"]
 UNITS: dict[Kind, str] = {"torque": "N m", "speed": "rad/s"}
-#: Blocks that a verdict needs; so many recordings are blocks themselves.
-LEAST_BLOCKS = 8
+#: Blocks that a verdict needs, and those that recordings are cut into.
+LEAST_BLOCKS, MOST_BLOCKS = 8, 60
 #: Least length of a piece of a recording that counts as a block [s], and of a window that speeds are means over.
 LEAST_BLOCK, WINDOW = 2.0, 0.1
 
@@ -123,14 +122,13 @@ def _means(values: Array, ends: IntArray) -> Array:
 
 
 def _blocks(recording: IntArray, step: float) -> IntArray:
-    """Return blocks of like length: recordings where there are enough, long ones in pieces, else up to 24 pieces."""
+    """Return blocks: pieces of recordings, of like length and `MOST_BLOCKS` or so at most."""
     count = int(recording.max(initial=-1)) + 1
     lengths = np.bincount(recording, minlength=count)
-    least = int(np.ceil(LEAST_BLOCK / step))
-    usual = int(np.median(lengths)) if count >= LEAST_BLOCKS else int(np.ceil(len(recording) / 24))
+    length = max(int(np.ceil(LEAST_BLOCK / step)), int(np.ceil(len(recording) / MOST_BLOCKS)))
     out, used = np.zeros(len(recording), dtype=np.int64), 0
     for r in range(count):
-        pieces = max(1, lengths[r] // max(least, usual))
+        pieces = max(1, lengths[r] // length)
         out[recording == r] = used + np.minimum(np.arange(lengths[r]) * pieces // lengths[r], pieces - 1)
         used += pieces
     return out

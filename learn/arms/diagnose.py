@@ -104,7 +104,7 @@ def diagnose_arm(
     allowed, rows = check_names(effects), rows_of(case)
     if not len(rows.start) or rows.blocks < LEAST_BLOCKS:
         count = rows.blocks if len(rows.start) else 0
-        need = f"{LEAST_BLOCKS} recordings, or {LEAST_BLOCKS * LEAST_BLOCK:g} s of one"
+        need = f"{LEAST_BLOCKS}, of {LEAST_BLOCK:g} s each"
         return ArmDiagnosis(case, rows, "unknown", (), f"{count} stretches of motion, where a verdict needs {need}")
     first = case.trajectories[0]
     kinds: list[Kind] = (["torque"] if first.torque is not None else []) + (

@@ -10,8 +10,8 @@
 | servo_lag | - | the command behind a lag of first order |
 | speed_scale | - | the command times a number |
 
-A servo with gain K that has to overcome friction F follows a command c with c - F / K, wherever torques are measured; they
-show the friction where the sensor feels the motor's side of the gear.
+A servo with gain K that has to overcome friction F follows a command c with c - F / K, wherever torques are measured;
+they show the friction where the sensor feels the motor's side of the gear.
 """
 
 from __future__ import annotations

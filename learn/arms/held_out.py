@@ -88,7 +88,8 @@ def chance(before: Array, after: Array, block: IntArray) -> float:
     Ratios, so that a block in which much moves counts no more than another.
 
     Args:
-        before, after: Sums of squares of the blocks by two models, [B].
+        before: Sums of squares of the blocks by one model, [B].
+        after: The same by another, [B].
         block: Index of the block of every row, [N].
     """
     from scipy.stats import t

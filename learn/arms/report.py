@@ -111,8 +111,8 @@ def remarks(found: ArmDiagnosis) -> list[str]:
     """Return what is to be known with the verdict, a sentence each."""
     out = []
     if any(c.kind == "speed" and n.name == "dry_friction" for c, n in found.claimed):
-        out.append("Friction found in speeds is the speed that is lost, times the servo's gain: with another gain it is "
-                   "another friction and the same motion.")  # fmt: skip
+        out.append("Friction found in speeds is the speed that is lost, times the servo's gain: with another gain it "
+                   "is another friction and the same motion.")  # fmt: skip
     away = sorted({n.name for _, n in found.claimed} & set(NOT_SIMULATED))
     if away:
         out.append(f"The simulator's servos have no {', '.join(away)}: they are not among what training is given.")
@@ -162,16 +162,17 @@ def _tables(found: ArmDiagnosis) -> list[ReportTable]:
         for c in found.channels
     ]  # fmt: skip
     head = ("channel", "rms", "base", "repaired", "white noise", "named", "without a name", "memory [s]")
-    note = ("Errors of blocks of motion that the fit had not seen. Without a name: share of the base model's squared error "
-            "that poses, speeds and earlier commands explain beside what is named.")  # fmt: skip
+    note = ("Errors of blocks of motion that the fit had not seen. Without a name: share of the base model's squared "
+            "error that poses, speeds and earlier commands explain beside what is named.")  # fmt: skip
     return [ReportTable("Channels", head, rows, note)] if rows else []
 
 
 def _figures(found: ArmDiagnosis) -> list[ReportFigure]:
     if not found.channels:
         return []
-    return [ReportFigure("channels.png", _bars(found), "Rms error of every channel as a share of its rms, on motion that "
-                         "the fit had not seen: base model, repaired model, white noise.")]  # fmt: skip
+    text = ("Rms error of every channel as a share of its rms, on motion that the fit had not seen: base model, "
+            "repaired model, white noise.")  # fmt: skip
+    return [ReportFigure("channels.png", _bars(found), text)]
 
 
 @styled

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...sim.base.types import Array
 from ..cases.arm import ArmCase
-from .channels import Kind, Rows
+from .channels import LEAST_BLOCKS, Kind, Rows
 from .effects import GRIDS, LATEST, NAMES, PARAMETERS, Curve, anything, column, speeds
 from .held_out import HeldOut, centred, chance, held_out, spread_of
 
@@ -305,17 +305,24 @@ class Search:
         return Named(named.name, value, low, high, named.unit, named.p, named.alternatives)
 
     def _look_further(self, out: Channel, base: _Model, best: _Model) -> None:
-        """Fit columns without a name to what the best model leaves."""
+        """Fit columns without a name to what the best model leaves.
+
+        So many columns would learn a drift from the seconds before and after: whole recordings are left out, where there
+        are enough of them.
+        """
         commanded = speeds(self.case, self.rows, self.joint, best.way)[0] if self.kind == "speed" else np.zeros(0)
         z = anything(self.kind, self.rows, commanded, self.joint)[self.use]
         z = centred(z, self.recording) if self.kind == "torque" else z
         z = z[:, z.std(axis=0) > 1e-9]
-        further = held_out(
-            self._target(best.way), np.column_stack([self._columns(best.names, best.way), z]), self.block
-        )
-        saved = float((best.fit.error - further.error).sum() / base.fit.error.sum())
+        whole = np.unique(self.recording, return_inverse=True)[1]
+        block = whole if whole.max() + 1 >= LEAST_BLOCKS else self.block
+        target, own = self._target(best.way), self._columns(best.names, best.way)
+        plain = held_out(self._target(base.way), self._columns((), base.way), block).error
+        named = held_out(target, own, block).error
+        further = held_out(target, np.column_stack([own, z]), block).error
+        saved = float((named - further).sum() / plain.sum())
         channels = self.tried / max(1, len(self.names))
-        if saved >= LEAST_UNNAMED and channels * chance(best.fit.error, further.error, self.block) <= CHANCE:
+        if saved >= LEAST_UNNAMED and channels * chance(named, further, block) <= CHANCE:
             out.unnamed = saved
 
     def _memory(self, left: Array) -> float:

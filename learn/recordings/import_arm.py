@@ -139,10 +139,10 @@ def _meta(
     def of(form: str, more: dict[str, Any]) -> list[dict[str, Any]]:
         return [{"joint": n, "column": form.format(j + 1), "scale": 1.0, **more} for j, n in enumerate(joints)]
 
-    measured = {"input": of("tau{}_Nm", {"hold": "linear"})} if torques else {}
+    measured = of("tau{}_Nm", {"hold": "linear"}) if torques else None
     asked = {"commands": of("dq_cmd{}_rad_s", {})} if commands else {}
     return {
-        "format": "joint-gap-case/1", "mechanism": {"arm": called, "weight": weight}, **({} if torques else {"input": None}),
-        **measured, **asked, "outputs": of("q{}_rad", {"quantity": "position"}),
+        "format": "joint-gap-case/1", "mechanism": {"arm": called, "weight": weight}, "input": measured, **asked,
+        "outputs": of("q{}_rad", {"quantity": "position"}),
         "trajectories": [{"file": name, "t_start_s": APART * 60 * k} for k, name in enumerate(files)],
     }  # fmt: skip

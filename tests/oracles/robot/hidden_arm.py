@@ -2,8 +2,9 @@
 
 Bodies are those of `mujoco_arm`. Servo and friction are MuJoCo's implicit joint dampers, set anew in every step (its
 frictionloss is solved without them, and moves light joints); a play is a hinge of its own between motor and link, with
-stops, and the link rubs against the base with `LINK_FRICTION`, so that it stays where the motor leaves it; commands are delayed sample by sample. Noise of torques is that which docs/touch.md tells of a real Jaco 2,
-positions are rounded.
+stops, and the link rubs against the base with `LINK_FRICTION`, so that it stays where the
+motor leaves it; commands are delayed sample by sample. Noise of torques is that which docs/touch.md tells of a real
+Jaco 2, positions are rounded.
 """
 
 from __future__ import annotations
@@ -134,7 +135,7 @@ def recorded(hidden: Hidden, seconds: float, rng: np.random.Generator) -> dict[s
 
 
 def _weight(model, data, turning) -> np.ndarray:
-    """What carries the arm [N m]: the generalised gravity forces, turned about."""
+    """Return what carries the arm [N m]: the generalised gravity forces, turned about."""
     saved = data.qvel.copy()
     data.qvel[:] = 0.0
     mujoco.mj_fwdVelocity(model, data)
@@ -147,8 +148,10 @@ def _weight(model, data, turning) -> np.ndarray:
 def _wishes(rng: np.random.Generator, count: int) -> np.ndarray:
     """Speeds that a policy might ask for at 60 Hz [rad/s]: smooth, with reversals, about zero in the mean."""
     t = np.arange(count)[:, None] / 60.0
-    out = sum(a * np.sin(2 * np.pi * f * t + p) for a, f, p in
-              ((rng.uniform(0.05, 0.25, 6), rng.uniform(0.08, 0.6, 6), rng.uniform(0, 2 * np.pi, 6)) for _ in range(3)))  # fmt: skip
+    out = np.zeros((count, 6))
+    for _ in range(3):
+        size, pace, phase = rng.uniform(0.05, 0.25, 6), rng.uniform(0.08, 0.6, 6), rng.uniform(0, 2 * np.pi, 6)
+        out += size * np.sin(2 * np.pi * pace * t + phase)
     return np.clip(out, -0.6, 0.6)
 
 
