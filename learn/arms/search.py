@@ -302,13 +302,14 @@ class Search:
 
     def _again(self, named: Named, best: _Model) -> Named:
         value, low, high = self._interval(best, named.name)
-        return Named(named.name, value, low, high, named.unit, named.p, named.alternatives)
+        others = tuple(n for n in named.alternatives if n not in best.names)
+        return Named(named.name, value, low, high, named.unit, named.p, others)
 
     def _look_further(self, out: Channel, base: _Model, best: _Model) -> None:
         """Fit columns without a name to what the best model leaves.
 
-        So many columns would learn a drift from the seconds before and after: whole recordings are left out, where there
-        are enough of them.
+        So many columns would learn a drift from the seconds before and after: whole recordings are left out, where
+        there are enough of them.
         """
         commanded = speeds(self.case, self.rows, self.joint, best.way)[0] if self.kind == "speed" else np.zeros(0)
         z = anything(self.kind, self.rows, commanded, self.joint)[self.use]
