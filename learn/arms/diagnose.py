@@ -107,9 +107,8 @@ def diagnose_arm(
         need = f"{LEAST_BLOCKS}, of {LEAST_BLOCK:g} s each"
         return ArmDiagnosis(case, rows, "unknown", (), f"{count} stretches of motion, where a verdict needs {need}")
     first = case.trajectories[0]
-    kinds: list[Kind] = (["torque"] if first.torque is not None else []) + (
-        ["speed"] if first.command is not None else []
-    )
+    there: list[tuple[Kind, object]] = [("torque", first.torque), ("speed", first.command)]
+    kinds = [kind for kind, values in there if values is not None]
     joints = range(case.arm.num_dofs)
     tried = len(joints) * sum(len([n for n in NAMES[k] if n in allowed]) for k in kinds)
     channels = []

@@ -16,6 +16,7 @@ Every joint of the arm needs a position. Torques and commands are of all joints 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from ...sim.base.errors import InputError
 from ...sim.base.strict_yaml import YamlFile, nearest
 from ...sim.base.types import Array
 from .case import check_trajectories, joint_trajectory, meta_path
-from .schema import InputMeta, JointMeta, read_meta
+from .schema import CommandMeta, InputMeta, JointMeta, OutputMeta, read_meta
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,10 @@ def _check(meta: JointMeta, file: YamlFile, joints: list[str]) -> None:
             raise file.error([key], "this key beside an arm", "none: recordings are left out one after the other")
     if meta.input is None and meta.commands is None:
         raise file.error(["input"], "neither torques nor commands", "input, commands, or both, of every joint")
-    for key, items in (("input", meta.input), ("commands", meta.commands), ("outputs", meta.outputs)):
+    listed: list[tuple[str, Sequence[InputMeta | CommandMeta | OutputMeta] | None]] = [
+        ("input", meta.input), ("commands", meta.commands), ("outputs", meta.outputs),
+    ]  # fmt: skip
+    for key, items in listed:
         if items is None:
             continue
         named = [item.joint for item in items if getattr(item, "quantity", "position") == "position"]

@@ -25,7 +25,7 @@ from ..base.errors import InputError
 from ..base.strict_yaml import NotNegative, Positive, Strict, YamlFile, nearest, validated
 from .arm import Arm
 
-FORMAT = "arm-model/1"
+FORMAT: Literal["arm-model/1"] = "arm-model/1"
 #: Numbers of a joint that the simulator's servos have, in the order of `Servo`.
 NUMBERS = ("gain_Nmsprad", "friction_Nm", "damping_Nmsprad", "weight_error", "delay_s")
 #: Gain, friction, damping, weight error and delay of every joint, base first; empty for the arm's own.
