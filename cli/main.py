@@ -28,8 +28,10 @@ from .info import Info
 from .play import Play
 from .replay import Replay
 from .reproduce import Reproduce
+from .robots.cameras import Camera
 from .robots.recordings import ImportCase, NewCase, Record
 from .robots.robot import Robot
+from .robots.run import Run
 from .simulate import Simulate, simulate_case
 from .touch import Touch
 from .train import Train
@@ -61,6 +63,8 @@ Command = (
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Touch, tyro.conf.subcommand("touch")]
     | Annotated[Robot, tyro.conf.subcommand("robot")]
+    | Annotated[Run, tyro.conf.subcommand("run")]
+    | Annotated[Camera, tyro.conf.subcommand("camera")]
 )
 
 

@@ -7,7 +7,7 @@ called from the control loop's thread, 60 times a second, and none may wait: a r
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from ...sim.base.types import Array
 
@@ -60,4 +60,17 @@ class Backend(Protocol):
 
     def close(self) -> None:
         """Let go of the arm. The last speeds sent were zero."""
+        ...
+
+
+@runtime_checkable
+class Staged(Protocol):
+    """What a twin has besides, whose scenes begin anew and are known. Both are called from the network's threads."""
+
+    def begin(self, number: int) -> None:
+        """Put the arm at rest at home in the scene of this number; may take its time, and is called while stopped."""
+        ...
+
+    def truth(self) -> dict[str, Array]:
+        """Return what is true of the scene now, by name."""
         ...

@@ -16,6 +16,7 @@ import pytest
 import yaml
 from bough.cli.robots.recordings import ImportCase, NewCase, flag_helps
 from bough.learn.cases.case import load_case
+from oracles import json_page
 from oracles.branch_case import make_branch_case
 
 STIFFNESS, LEVER = 40.0, 0.8  # N m/rad, m
@@ -118,8 +119,9 @@ def test_without_a_lever_it_is_a_mass_on_a_spring(inside):
     rows = [f"{trial},{a:.6f},{b:.9f},{c:.9f}" for trial in (1, 2)
             for a, b, c in zip(t, 50 * motion / 9.80665, motion * 100 + 3, strict=True)]  # fmt: skip
     Path("pull.csv").write_text("trial,time,scale,tape\n-,s,kg,cm\n" + "\n".join(rows) + "\n")
-    done = inside("new-case", "pull.csv", "--only", "trial=2", "--force", "scale", "--out", "case")
+    done = inside("new-case", "pull.csv", "--only", "trial=2", "--force", "scale", "--out", "case", "--json")
     assert done.code == 0, done.err
+    json_page.check("new-case", json.loads(done.out))
     assert "grid of 20 Hz" in done.out and "mass on a spring" in done.out and "scale [kg]" in done.out
     run = load_case("case").trajectories[0]
     # between samples of the jittered clock: the second difference of the motion over eight
