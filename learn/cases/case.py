@@ -153,6 +153,13 @@ class JointCase(JointSetup):
 def load_case(folder: str | Path) -> BranchCase | JointCase:
     """Load a case folder of either form.
 
+    Args:
+        folder: With ``meta.yaml`` and a CSV file of each recording.
+
+    Returns:
+        A branch with its recordings (``branch-gap-case/1``), or joints that were measured directly
+        (``joint-gap-case/1``); recordings in SI units, their arrays [samples, channels].
+
     Raises:
         InputError: The folder is missing, empty or unreadable; ``meta.yaml`` or a CSV breaks the format, contradicts
             itself or states what cannot be (see `schema`, `columns` and the checks in this module).

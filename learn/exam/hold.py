@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.progress import Progress
 
+from ...sim.base.console import bar
 from ...sim.base.errors import InputError
 from ..cases.case import load_case
 from ..gap.diagnose import find_missing
@@ -64,13 +64,12 @@ def hold(
     place = out / "results.jsonl"
     done = done_before(place, plan)
     todo = [(k, s) for k, s in enumerate(plan) if k not in {d["case"] for d in done}]
-    with Progress() as bar:
-        task = bar.add_task("exam", total=cases, completed=cases - len(todo))
+    with bar("exam", len(todo)) as advance:
         for result in _sat(todo, jobs):
             with place.open("a") as file:
                 file.write(json.dumps(result) + "\n")
             done.append(result)
-            bar.advance(task)
+            advance(1)
     wanted = WANTED_JOINTS if joints else WANTED
     table = grades(done, wanted)
     (out / "exam.json").write_text(json.dumps({"noise": noise, "seed": seed, "grades": table}, indent=1) + "\n")

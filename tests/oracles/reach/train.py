@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bough.cli.train import Train
 from bough.learn.tasks.ppo_settings import PRESETS
-from oracles.reach_task import registry
+from oracles.reach.task import registry
 
 TINY = replace(PRESETS["cpu"], num_envs=8, horizon=8, hidden=(16,), checkpoint_every=2)
 
