@@ -28,6 +28,7 @@ from .info import Info
 from .play import Play
 from .replay import Replay
 from .reproduce import Reproduce
+from .robots.probe import Probe
 from .robots.recordings import ImportCase, NewCase, Record
 from .robots.robot import Robot
 from .simulate import Simulate, simulate_case
@@ -61,6 +62,7 @@ Command = (
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Touch, tyro.conf.subcommand("touch")]
     | Annotated[Robot, tyro.conf.subcommand("robot")]
+    | Annotated[Probe, tyro.conf.subcommand("probe")]
 )
 
 

@@ -6,8 +6,8 @@ A force f* is followed by admittance: with C, how the grasp point gives way [m/N
 
 with x(f) where a force takes the point and C = dx/df, both of typical springs in the bent pose, scaled by what a first
 gentle pull shows, and C with the fingers' own. The error of the force fades with L where C is right, and slower or
-quicker where it is a few times too small or too large. What the arm cannot follow (a sweep's last seconds) does no harm:
-the case takes the force that was measured.
+quicker where it is a few times too small or too large. What the arm cannot follow (a sweep's last seconds) does no
+harm: the case takes the force that was measured.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Hand:
     # ---- going there -------------------------------------------------------------------------------------------------
 
     def calm(self) -> Array:
-        """Wait until the branch hangs still; return where the grasp point is [m], [3]. Without a tag wait for a while."""
+        """Wait until the branch hangs still, without a tag for a while; return where the grasp point is [m], [3]."""
         means: list[Array] = []
         window: list[Array] = []
         begin = self._robot.latest.time
@@ -109,11 +109,8 @@ class Hand:
             self._robot.send(np.zeros(len(state.q)), state)
 
     def grasp(self) -> State:
-        """Go to the calm branch with an open gripper and close it."""
+        """Go to the calm branch, the gripper open, and close it."""
         robot = self._robot
-        robot.wait_free()
-        if self._grips:
-            robot.grip(0.0)
         at = place_of(robot.latest) if self.releases else self._branch.grasp
         self._home = joints_at(self._arm, at, robot.latest.q)
         robot.move_to(self._home, speed=_SPEED, within=0.003)
@@ -121,7 +118,8 @@ class Hand:
 
     def leave(self) -> None:
         """Open the gripper; what the branch still pulled with is let go of gently first."""
-        robot, begin = self._robot, self._robot.latest.time
+        robot = self._robot
+        begin = robot.wait_free().time
         if self._grips and robot.latest.gripper > HELD:
             self._follow(lambda t: 0.0, np.zeros(3), lambda state: state.time - begin > 1.5)
         robot.halt()
@@ -158,6 +156,7 @@ class Hand:
             RobotError: The arm was stopped, refused or lost; what was recorded is kept.
             OSError: The recording could not be written; what was is kept.
         """
+        self.leave()  # what a process that was killed may have left in the hand
         self.calm()
         self.grasp()
         with RawRecording(path, self._arm) as raw:

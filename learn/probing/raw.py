@@ -1,7 +1,7 @@
 """What a pull measures, tick by tick as it comes, and the samples of a case that are made of it.
 
-A line goes to ``NAME.csv.part`` in one write as soon as its tick has come; a whole recording loses the ``.part``. So all
-that was measured before a kill, a stop or a full disk is in a file, and a whole file is whole.
+A line goes to ``NAME.csv.part`` in one write as soon as its tick has come; a whole recording loses the ``.part``. So
+all that was measured before a kill, a stop or a full disk is in a file, and a whole file is whole.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is known of a branch before anything is measured: a case's ``meta.yaml`` without recordings, and what follows."""
+"""What is known of a branch before anything is measured: a case's ``meta.yaml`` without recordings."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from ...sim.base.errors import InputError
 from ...sim.base.strict_yaml import NotNegative, Strict, YamlFile, validated
 from ...sim.base.types import Array
 from ...sim.trees.measured import MeasuredBranch
-from ..gap.next_probe import push_axes
 from ..cases.schema import BRANCH_FORMAT, GraspMeta, SegmentMeta, Vector
+from ..gap.next_probe import push_axes
 from ..systems.branch import BranchSystem
-
 
 _BENDS = 12
 
@@ -73,7 +72,8 @@ class Structure:
             scale: Of all springs.
         """
         held = self.branch.grasp_segment + 1
-        springs = scale * BranchSystem.TYPICAL_YOUNG * np.pi * self.branch.radius.mean(1) ** 4 / (2 * self.branch.length)
+        bending = np.pi * self.branch.radius.mean(1) ** 4 / (2 * self.branch.length)
+        springs = scale * BranchSystem.TYPICAL_YOUNG * bending
         steps = self.branch.axis[:held] * self.branch.length[:held, None]
         steps[-1] = self.branch.grasp_distance * self.branch.axis[held - 1]
         turned = np.zeros((held, 3))

@@ -92,8 +92,9 @@ class SteppedRobot(RobotClient):
         said = {
             "tick": self._tick, "time_s": self._now, "robot_dof_pos": sample.q, "robot_dof_vel": sample.qd,
             "robot_dof_torque": sample.torque, "hand_pos": sample.hand_position,
-            "hand_rot": sample.hand_rotation[[1, 2, 3, 0]], "sent": velocity.tolist(), "stop": stop.number if stop else 0,
-            "cause": stop.cause if stop else "", "state": "stopped" if stop else "ready",
+            "hand_rot": sample.hand_rotation[[1, 2, 3, 0]], "sent": velocity.tolist(),
+            "stop": stop.number if stop else 0, "cause": stop.cause if stop else "",
+            "state": "stopped" if stop else "ready",
             "robot_gripper": sample.gripper, "hand_force": sample.force, "tag_pos": sample.tag,
         }  # fmt: skip
         self._latest = state_of(said, self._now)

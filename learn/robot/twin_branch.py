@@ -6,10 +6,9 @@ The branch is MuJoCo's with three times as many links as a model of it has, and 
     f = k (h + o - x) + c (h' - x'),
 
 h the hand, x the grasp point, o what lay between them when the gripper closed. The branch moves under f, and the arm's
-joints carry J' f, which the guard sees; the arm's motion does not give way to f, since its joints are geared 160 to 1 and
-their drives hold speed (10 N at the hand of a Jaco 2 are an eighth of its servos' torque). Beside its joints the arm
-tells what a robot that measures branches has: a force sensor at the wrist, and a camera that follows a tag at the grasp
-point. The hand meets nothing but the grasp point.
+joints carry J' f, which the guard sees; the arm's motion does not give way to f, since its joints are geared 160 to 1
+and their drives hold speed. Beside its joints the arm tells what a robot that measures branches has: a force sensor at
+the wrist, and a camera that follows a tag at the grasp point. The hand meets nothing but the grasp point.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ GRASP = np.array([0.25, -0.35, 0.5])
 """Where the grasp point is at rest, in the arm's base frame [m]: within 28 cm around it the arm reaches everything."""
 
 FORCE_NOISE, TAG_NOISE, TORQUE_NOISE = 0.08, 1.5e-3, 0.05
-"""Standard deviations of a wrist's force sensor [N], of a tag half a metre before a camera [m], of a joint's torque [N m]."""
+"""Standard deviations: a wrist's force sensor [N], a tag half a metre before a camera [m], a joint's torque [N m]."""
 
 _GRIP, _RUBBER = 1500.0, 12.0  # k [N/m], c [N s/m]: fingers that give 5 mm at 8 N
 _CLOSES = 1.25  # of its way a second: a Jaco's fingers need about 0.8 s
@@ -117,7 +116,8 @@ def hidden_parts(seed: int, segments: int, hidings: Sequence[Hiding]) -> tuple[B
         joint = int(rng.integers(segments)) if hiding.joint is None else hiding.joint
         part, found = strength(bench, forms.recipe(hiding.name)(rng, scale, joint), hiding.size)
         if not np.isfinite(found):
-            raise InputError("--effect", hiding.name, "a branch that leaves the finite", "another seed or a smaller size")
+            allowed = "another seed or a smaller size"
+            raise InputError("--effect", hiding.name, "a branch that leaves the finite", allowed)
         out.append((Hiding(hiding.name, part.joint, found), part))
     return branch, out
 
