@@ -194,6 +194,11 @@ BENCHMARKS = (
         ),
     ),
     Benchmark(
+        "probing", "Recordings that `bough probe` and a fixed set of eight pulls need to name a hidden effect.",
+        None, "probing", 120, (), ("--quick", "--segments", "1", "--effects", "quadratic_drag", "dry_friction"),
+        unbound="it compares two designs of an experiment; fewer recordings are better",
+    ),
+    Benchmark(
         "accuracy", "Error of 60 random trees' motion, float32, against a converged MuJoCo run.",
         "C MuJoCo at the same step", "accuracy", 4, (), ("--trees", "10"), bounds=_accuracy_bounds(0.1),
     ),

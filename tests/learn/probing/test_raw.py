@@ -22,7 +22,7 @@ def state(tick, gripper=1.0, force=None, tag=None):
 
 
 def test_samples_are_means_of_their_ticks(tmp_path):
-    """Take a line in time back exactly (a mean about a sample is the line there), rest place off, opened from 2 s on."""
+    """Take a line in time back (a mean about a sample is the line there), rest place off, opened from 2 s on."""
     path = tmp_path / "pull_1_1.csv"
     with RawRecording(path, ARM) as raw:
         for k in range(0, 250):

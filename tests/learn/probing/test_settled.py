@@ -17,7 +17,7 @@ UNKNOWN = Finding(3, "unknown", names=(), propose="pull", gain=3.0)
     ("findings", "words"),
     [
         ([named("dry_friction", 20)], None),
-        ([named("dry_friction", 20), named("dry_friction", 30)], "dry_friction@1 twice in a row, ahead of tip_mass by 30"),
+        ([named("dry_friction", 20), named("dry_friction", 30)], "dry_friction@1 twice in a row, ahead of tip_mass by"),
         ([named("dry_friction", 20), named("dry_friction", 11)], None),
         ([named("dry_friction", 11), named("dry_friction", 20)], None),
         ([named("dry_friction", 20), named("backlash", 20)], None),

@@ -25,7 +25,9 @@ def test_it_bends_as_mujoco_s_branch(twin, tmp_path):
     known = read_structure(tmp_path / "branch.yaml")
     assert known.grasp == pytest.approx(GRASP, abs=1e-5)
     b = twin.branch
-    b.stiffness = (BranchSystem.TYPICAL_YOUNG * np.pi * known.branch.radius.mean(1) ** 4 / (2 * known.branch.length)).tolist()
+    b.stiffness = (
+        BranchSystem.TYPICAL_YOUNG * np.pi * known.branch.radius.mean(1) ** 4 / (2 * known.branch.length)
+    ).tolist()
     b.damping = [0.3 * k for k in b.stiffness]
     live, force = Live(b, wood=0.0), 3.0 * known.axes[0]
     for _ in range(4000):
@@ -34,7 +36,9 @@ def test_it_bends_as_mujoco_s_branch(twin, tmp_path):
     assert np.linalg.norm(live.moved) > 0.02
     assert np.linalg.norm(moved - live.moved) < 0.06 * np.linalg.norm(live.moved)
     step = 0.1 * known.axes[1]
-    assert known.bent(force + step, 1.0)[0] - moved == pytest.approx(gives @ step, abs=0.03 * np.linalg.norm(gives @ step))
+    assert known.bent(force + step, 1.0)[0] - moved == pytest.approx(
+        gives @ step, abs=0.03 * np.linalg.norm(gives @ step)
+    )
 
 
 @pytest.mark.parametrize(
