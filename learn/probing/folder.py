@@ -134,7 +134,7 @@ class Folder:
         content = Content(meta, [(BRANCH_COLUMNS[:7], r) for r in rows])
         notes = ["force: that of the hand on the branch, as its sensor or the joint torques tell it",
                  "motion: of the tag at the grasp point, or of the hand while it holds",
-                 "samples: means of the ticks about them"]  # fmt: skip
+                 "samples: linear between the ticks"]  # fmt: skip
         case = write_case(self.path / "case", content, notes, "What bough probe assumed:")
         assert isinstance(case, BranchCase)
         return case

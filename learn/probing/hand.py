@@ -23,7 +23,7 @@ from ...sim.arms.statics import statics
 from ...sim.base.types import Array
 from ..replay.probes import Push
 from ..robot.client import RobotClient, RobotError, State
-from .raw import HELD, RawRecording, force_of, place_of
+from .raw import OPEN, RawRecording, force_of, place_of
 from .structure import Structure
 
 _FOLLOW, _SMOOTH, _AHEAD = 3.0, 0.05, 0.05  # 1/s; s, time constant of the measured force; s, of a course's rate
@@ -52,7 +52,7 @@ class Ways:
 
     force: float = 10.0
     reach: float = 0.18
-    rate: float = 20.0
+    rate: float = 30.0
     samples: int = 110
 
     @property
@@ -120,7 +120,7 @@ class Hand:
         """Open the gripper; what the branch still pulled with is let go of gently first."""
         robot = self._robot
         begin = robot.wait_free().time
-        if self._grips and robot.latest.gripper > HELD:
+        if self._grips and robot.latest.gripper > OPEN:
             self._follow(lambda t: 0.0, np.zeros(3), lambda state: state.time - begin > 1.5)
         robot.halt()
         if self._grips:

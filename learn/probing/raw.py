@@ -19,8 +19,8 @@ from ...sim.base.types import Array
 from ..robot.client import State
 
 COLUMNS = ("tick", "time_s", "closed", "fx_N", "fy_N", "fz_N", "x_m", "y_m", "z_m")
-HELD = 0.9
-"""Share of its way from which a gripper holds."""
+OPEN = 0.5
+"""Share of its way below which a gripper is known to be open; above, the force is the one that is measured."""
 
 
 def force_of(arm: Arm, state: State) -> Array:
@@ -102,7 +102,9 @@ def _free(path: Path) -> Path:
 
 
 def samples_of(path: Path, zero: Array, rate: float, count: int) -> tuple[Array, list[list[float]], float]:
-    """Return a recording's samples for a case: each the mean of the ticks about it.
+    """Return a recording's samples for a case, linear between the ticks, which they meet where the rate divides 60 Hz.
+
+    Means over a sample's time would take away what moves quickly, and the case is compared at instants.
 
     Args:
         path: A whole recording.
@@ -122,16 +124,7 @@ def samples_of(path: Path, zero: Array, rate: float, count: int) -> tuple[Array,
         found = f"{len(rows)} ticks"
         raise InputError(path, "", found, f"ticks over {t[-1]:g} s, as a whole recording has")
     begin, own = float(rows[0, 1]), rows[:, 1] - rows[0, 1]
-    middle = np.column_stack([_means(own, rows[:, k], t, rate) for k in range(3, 9)])
-    opened = np.flatnonzero(rows[:, 2] < HELD)
+    middle = np.column_stack([np.interp(t, own, rows[:, k]) for k in range(3, 9)])
+    opened = np.flatnonzero(rows[:, 2] < OPEN)
     quiet = [[float(own[opened[0]]), float(t[-1])]] if len(opened) and own[opened[0]] < t[-1] else []
     return np.column_stack([t, middle[:, :3], middle[:, 3:] - zero]), quiet, begin
-
-
-def _means(own: Array, values: Array, t: Array, rate: float) -> Array:
-    """Mean of values within half a sample about every t; linear between ticks where there are none."""
-    edges = np.searchsorted(own, np.concatenate([t - 0.5 / rate, t[-1:] + 0.5 / rate]))
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    number = np.diff(edges)
-    sums = total[edges[1:]] - total[edges[:-1]]
-    return np.where(number > 0, sums / np.maximum(number, 1), np.interp(t, own, values))

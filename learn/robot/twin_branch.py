@@ -42,7 +42,8 @@ FORCE_NOISE, TAG_NOISE, TORQUE_NOISE = 0.08, 1.5e-3, 0.05
 
 _GRIP, _RUBBER = 1500.0, 12.0  # k [N/m], c [N s/m]: fingers that give 5 mm at 8 N
 _CLOSES = 1.25  # of its way a second: a Jaco's fingers need about 0.8 s
-_HOLDS, _NEAR = 0.9, 0.06  # share of the way from which fingers hold; m from the hand within which they find the branch
+_HOLDS, _LOSES = 0.9, 0.85  # shares of the way from which fingers hold, and below which they have lost it: 40 ms
+_NEAR = 0.06  # m from the hand within which fingers find the branch
 _SERVO = 0.01  # s, time constant of the joints' speed
 _MOST = 0.1  # s at once: a loop that stood for longer loses time instead of hurrying after it
 _REACH, _SIZING = 0.15, (20.0, 110)  # of the pushes that a hidden effect is sized by; their rate [Hz] and samples
@@ -192,9 +193,9 @@ class BranchTwin:
 
     def _fingers(self, hand: Array, step: float) -> None:
         self._gripper += float(np.clip(self._asked - self._gripper, -_CLOSES * step, _CLOSES * step))
-        if self._gripper < _HOLDS:
+        if self._gripper < _LOSES:
             self._offset = None
-        elif self._offset is None and np.linalg.norm(self._tag - hand) < _NEAR:
+        elif self._gripper > _HOLDS and self._offset is None and np.linalg.norm(self._tag - hand) < _NEAR:
             self._offset = self._tag - hand
 
     def _grasping(self, hand: Array, moving: Array) -> Array:
@@ -203,7 +204,8 @@ class BranchTwin:
             self._force = np.zeros(3)
         else:
             stretched = hand + self._offset - self._tag
-            self._force = _GRIP * stretched + _RUBBER * (moving - self._live.velocity)
+            held = float(np.clip((self._gripper - _LOSES) / (_HOLDS - _LOSES), 0.0, 1.0))
+            self._force = held * (_GRIP * stretched + _RUBBER * (moving - self._live.velocity))
         return self._force
 
     @property

@@ -29,7 +29,7 @@ def words_of(served, out, *options):
     """Return a command line of a probing whose diagnosis is quick: two laws, short recordings."""
     return ["probe", "--branch", served.out / "branch.yaml", "--out", out, "--robot", f"http://127.0.0.1:{served.port}",
             "--token-file", served.out.parent / "token", "--effects", "quadratic_drag", "tip_mass",
-            "--max-effects", "1", "--samples", "60", "--budget", "3", *options]  # fmt: skip
+            "--max-effects", "1", "--samples", "90", "--budget", "3", *options]  # fmt: skip
 
 
 def lines(path):
@@ -64,7 +64,7 @@ def test_a_killed_probing_goes_on_and_loses_nothing(served, inside, tmp_path):
     result = json.loads((out / "result.json").read_text())
     assert json.loads(told.out) == result and 2 <= result["recordings"] <= 3
     case = load_case(out / "case")
-    assert len(case.trajectories) == result["recordings"] and all(len(t.t) == 60 for t in case.trajectories)
+    assert len(case.trajectories) == result["recordings"] and all(len(t.t) == 90 for t in case.trajectories)
     assert any(t.no_contact.any() for t in case.trajectories) and case.base_position[2] != 0.0
     assert result["effects"] == ["quadratic_drag"] and (out / "diagnosis" / "report.html").exists()
     assert json.loads((out / "round_2.json").read_text()) == result["rounds"][0]

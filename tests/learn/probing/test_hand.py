@@ -13,7 +13,7 @@ from bough.learn.robot.twin_branch import BranchTwin
 from bough.sim.arms.jaco2 import jaco2
 
 ARM = jaco2()
-SHORT = {"samples": 60}  # 3 s
+SHORT = {"samples": 90}  # 3 s
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +45,13 @@ def test_it_follows_a_force_and_lets_go(structure, tmp_path):
     hand.leave()
     path = tmp_path / "a.csv"
     hand.pull(Push(1, 1.0, 1.0, ramp, 0.6), path)
-    rows, quiet, _ = samples_of(path, rest, 20.0, 60)
+    rows, quiet, _ = samples_of(path, rest, 30.0, 90)
     t, force = rows[:, 0], rows[:, 1:4] @ structure.axes.T / hand.largest
     held = (t > 0.1) & (t < 0.55 * t[-1])
     assert np.sqrt(np.mean((force[held, 1] - ramp(t[held] / t[-1])) ** 2)) < 0.05
     assert np.sqrt(np.mean(force[held][:, 0] ** 2)) < 0.05 and np.sqrt(np.mean(force[held][:, 2] ** 2)) < 0.15
-    assert quiet[0][0] == pytest.approx(0.6 * t[-1], abs=0.2) and np.abs(force[t > quiet[0][0] + 0.1]).max() < 0.1
+    # fingers need 0.4 s to the half of their way; noise is 0.08 N, five deviations of it 0.4 N
+    assert 0.3 < quiet[0][0] - 0.6 * t[-1] < 0.7 and np.abs(force[t > quiet[0][0]]).max() < 0.4 / hand.largest
     assert robot.clipped == 0 and not robot.refused
 
 

@@ -21,21 +21,20 @@ def state(tick, gripper=1.0, force=None, tag=None):
     return state_of(said, 0.0)
 
 
-def test_samples_are_means_of_their_ticks(tmp_path):
-    """Take a line in time back (a mean about a sample is the line there), rest place off, opened from 2 s on."""
+def test_samples_are_those_of_their_ticks(tmp_path):
+    """Take a line in time back, rest place off, the gripper open from 2 s on."""
     path = tmp_path / "pull_1_1.csv"
     with RawRecording(path, ARM) as raw:
         for k in range(0, 250):
             t = k / 60
-            raw(state(k, 1.0 if t < 2.0 else 0.5, [2 * t, 0.0, -t], [0.1 + 0.01 * t, 0.2, 0.3]))
+            raw(state(k, 1.0 if t < 2.0 else 0.4, [2 * t, 0.0, -t], [0.1 + 0.01 * t, 0.2, 0.3]))
         assert (tmp_path / "pull_1_1.csv.part").exists() and not path.exists()
     rows, quiet, begin = samples_of(path, np.array([0.1, 0.2, 0.3]), 20.0, 80)
     t = np.arange(80) / 20
     assert begin == pytest.approx(7.0) and quiet == [[pytest.approx(2.0), t[-1]]]
-    inner = slice(1, None)  # ticks before the first sample are none
-    # bins of three ticks are even about a sample; time is written to a microsecond
-    assert rows[inner, :4] == pytest.approx(np.column_stack([t, 2 * t, 0 * t, -t])[inner], abs=0.02)
-    assert rows[inner, 4:] == pytest.approx(np.column_stack([0.01 * t, 0 * t, 0 * t])[inner], abs=1e-4)
+    # seven digits, and time to a microsecond
+    assert rows[:, :4] == pytest.approx(np.column_stack([t, 2 * t, 0 * t, -t]), abs=1e-5)
+    assert rows[:, 4:] == pytest.approx(np.column_stack([0.01 * t, 0 * t, 0 * t]), abs=1e-6)
     with pytest.raises(InputError, match="250 ticks"):
         samples_of(path, np.zeros(3), 20.0, 90)
 
