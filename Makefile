@@ -9,7 +9,7 @@ PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-all lint format bench tables docs clean
+.PHONY: help setup demo test test-all lint format bench tables pages docs clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
@@ -62,6 +62,9 @@ bench: $(VENV)/installed-test $(VENV)/installed-sysid  ## measure all, or NAMES=
 
 tables: $(VENV)/installed-test  ## write the tables of README and docs from the newest results of the benchmarks
 	$(BIN)/python benchmarks/run.py --write
+
+pages: $(VENV)/installed-test  ## run tutorials and gallery again and keep their pictures (minutes), or NAMES="write_law.ipynb"
+	$(BIN)/python docs/remake.py $(NAMES)
 
 docs: $(VENV)/installed-docs  ## build the documentation site in out/site
 	$(BIN)/mkdocs build --strict

@@ -31,11 +31,17 @@ class CheckLaw:
         if not self.file.is_file():  # said before Warp is there
             raise InputError("bough check-law", str(self.file), "no such file", "a Python file")
         start_warp()
-        from ..learn.laws import check_law, law_from
+        from ..learn.laws import check_law, law_from, not_compiled
 
         effect = law_from(self.file)
-        with bar("checking the law", None):
-            findings = list(check_law(effect))
+        try:
+            with bar("checking the law", None):
+                findings = list(check_law(effect))
+        except Exception as error:
+            fault = not_compiled(error, self.file)
+            if fault is None:
+                raise
+            raise fault from None
         missing = sum(f.verdict == "missing" for f in findings)
         lines = [f"{f.verdict:8} {f.check:12} {f.form:7} {f.text}" for f in findings]
         found = {"effect": effect.name, "missing": missing, "findings": [asdict(f) for f in findings]}

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import platform
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import EntryPoint, PackageNotFoundError, version
 from importlib.util import find_spec
+from typing import Any
 
 from ..sim.base.console import bar, start_warp, tell
 from ..sim.base.plugins import distribution_of, fault_of, points
 from .base.exit_codes import ExitCode
 
 _PACKAGES = ("warp-lang", "numpy", "torch", "newton", "mujoco")
-_EXTRAS = {"train": "rsl_rl", "gym": "gymnasium", "taichi": "taichi", "usd": "pxr"}
+#: A module of each extra that users have.
+_EXTRAS = {"train": "rsl_rl", "gym": "gymnasium", "mpc": "pytorch_mppi", "wandb": "wandb", "touch": "rosbags",
+           "robot": "fastapi", "taichi": "taichi", "view": "viser", "usd": "pxr"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -70,23 +74,31 @@ def parts() -> list[dict[str, str]]:
     from ..learn.samplers.registry import SAMPLERS
     from ..learn.tasks.registry import TASKS
     from ..sim.arms.registry import ARMS
-    from ..sim.effects import GROUP
+    from ..sim.effects import GROUP, effects, load_package
 
     found = []
     for registry in (TASKS, ARMS, PROBES, SAMPLERS):
         for name, point in registry.installed.items():
-            found.append(_part(registry.noun, point, partial(registry.of, name)))
-    return found + [_part("effect", point, point.load) for point in points(GROUP)]
+            found += _parts(registry.noun, point, partial(registry.of, name))
+    with warnings.catch_warnings():  # what is wrong stands in the parts' own lines
+        warnings.simplefilter("ignore")
+        effects()
+    return [
+        *found,
+        *(part for point in points(GROUP) for part in _parts("effect", point, partial(load_package, point))),
+    ]
 
 
-def _part(kind: str, point: EntryPoint, load: Callable[[], object]) -> dict[str, str]:
-    fault = ""
+def _parts(kind: str, point: EntryPoint, load: Callable[[], Any]) -> list[dict[str, str]]:
+    """Return what an entry point brings: one part, or as many as ``load`` returns names of."""
+    names, fault = (point.name,), ""
     try:
-        load()
+        loaded = load()
+        names = (loaded if kind == "effect" else ()) or names
     except Exception as error:  # another's package
-        who = f"{distribution_of(point)}: " if kind == "effect" else ""  # other kinds name it themselves
-        fault = f"{who}{fault_of(error)}"
-    return {"kind": kind, "name": point.name, "package": distribution_of(point), "fault": fault}
+        fault = fault_of(error)
+    who = distribution_of(point)
+    return [{"kind": kind, "name": name, "package": who, "fault": fault} for name in names]
 
 
 def _line(part: dict[str, str]) -> str:

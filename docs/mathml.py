@@ -13,4 +13,12 @@ _FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1
 
 def on_page_content(content: str, **_: Any) -> str:
     """Return a page's HTML with what `pymdownx.arithmatex` has marked as TeX written as MathML."""
-    return _FORMULA.sub(lambda m: convert(html.unescape(m[3]), display="block" if m[2] == "[" else "inline"), content)
+    return _FORMULA.sub(_set, content)
+
+
+def _set(found: re.Match[str]) -> str:
+    """Return a formula as MathML; one on a line of its own scrolls by itself where the page is narrower."""
+    text = html.unescape(found[3])
+    if found[2] == "(":
+        return convert(text, display="inline")
+    return f'<div style="overflow-x: auto">{convert(text, display="block")}</div>'

@@ -1,6 +1,7 @@
 """Shared by all tests: the oracles on the path, which tests are long, long files first, no log files left behind."""
 
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -11,10 +12,14 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 # that takes 17 s alone. One thread each, set before torch is imported; commands that tests start inherit it.
 for library in ("OMP", "OPENBLAS"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+# What a shell runs in the background ignores Ctrl-C, and so would every command that tests start and interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 TESTS = Path(__file__).parent
 sys.path.insert(0, str(TESTS))
 
 from long import LONG  # noqa: E402
+from oracles.forked import Forked  # noqa: E402
 
 #: Files that take longest, in this order. They begin first, so that no worker is left with one when the other is done.
 FIRST = (
@@ -45,6 +50,14 @@ def pytest_collection_modifyitems(config, items):
         raise pytest.UsageError(f"tests/long.py: no test begins with {', '.join(sorted(unused))}")
     ranks = {TESTS / name: rank for rank, name in enumerate(FIRST)}
     items.sort(key=lambda item: ranks.get(item.path, len(FIRST)))
+
+
+@pytest.fixture(scope="session")
+def forked():
+    """Return what runs programs in processes that need not import torch again."""
+    out = Forked()
+    yield out
+    out.close()
 
 
 @pytest.fixture(autouse=True)

@@ -11,6 +11,8 @@ _CHAINS = "long chains against known moments; make test keeps SVGD and one case 
 _KILLED = "kills and repeats a command of half a minute; make test keeps killed trainings"
 _OTHER = "the same as one that make test keeps, on another scene or width"
 _PAGES = "compiles kernels or trains for an example of a page; make test runs those of README, tour and API"
+_TUTORIALS = "a whole tutorial (15 to 40 s of CPU); make test runs the first, and turns all into pages"
+_GALLERY = "a block of the gallery (3 to 8 s of CPU); make test runs the one with four species"
 _GPU = "compiles a large kernel for a GPU; make test keeps the plain step and the one with laws in float32"
 
 LONG = {
@@ -99,7 +101,20 @@ LONG = {
     "sim/engine/test_gpu_ready.py::test_the_gpu_benchmark_runs_on_a_cpu": "the whole script of a GPU's measurements",
     "sim/engine/test_gpu_ready.py::test_kernels_of_the_arm_compile_for_a_gpu[contact": _GPU,
     "sim/wood/test_wood_effects.py::test_a_task_s_worlds_feel_the_wind_and_live_it_again": _LAWS,
+    "test_pages.py::test_tutorials_run[lift_kernel]": _TUTORIALS,
+    "test_pages.py::test_tutorials_run[many_gpus]": _TUTORIALS,
+    "test_pages.py::test_tutorials_run[own_branch]": _TUTORIALS,
+    "test_pages.py::test_tutorials_run[train_policy]": _TUTORIALS,
+    "test_pages.py::test_tutorials_run[why_disagree]": _TUTORIALS,
+    "test_pages.py::test_tutorials_run[write_law]": _TUTORIALS,
+    "test_pages.py::test_tutorials_run[write_task]": _TUTORIALS,
+    "test_pages.py::test_the_gallery_s_code_draws_what_the_page_shows[gallery_a": _GALLERY,
+    "test_pages.py::test_the_gallery_s_code_draws_what_the_page_shows[gallery_l": _GALLERY,
+    "test_pages.py::test_the_gallery_s_code_draws_what_the_page_shows[gallery_p": _GALLERY,
+    "test_pages.py::test_the_gallery_s_code_draws_what_the_page_shows[gallery_r": _GALLERY,
+    "test_pages.py::test_the_gallery_s_code_draws_what_the_page_shows[gallery_w": _GALLERY,
     "test_repository.py::test_examples_of_the_pages_run[contact": _PAGES,
+    "test_repository.py::test_examples_of_the_pages_run[diagnose": _PAGES,
     "test_repository.py::test_examples_of_the_pages_run[effects": _PAGES,
     "test_repository.py::test_examples_of_the_pages_run[gpu": _PAGES,
     "test_repository.py::test_examples_of_the_pages_run[newton": _PAGES,
@@ -107,4 +122,5 @@ LONG = {
     "test_repository.py::test_examples_of_the_pages_run[powerline": _PAGES,
     "test_repository.py::test_examples_of_the_pages_run[simulate": _PAGES,
     "test_repository.py::test_examples_of_the_pages_run[tasks": _PAGES,
+    "test_site.py::": "builds the site (half a minute of CPU) and opens all its pages, where mkdocs and Chromium are",
 }

@@ -1,5 +1,6 @@
 """What ``import bough`` offers: lazily, completely, and as the page on the API lists it."""
 
+import inspect
 import re
 import subprocess
 import sys
@@ -37,6 +38,17 @@ def test_name_is_there_and_documented(name):
     """Find every public name, with a docstring, the same object each time."""
     assert getattr(bough, name).__doc__
     assert getattr(bough, name) is getattr(bough, name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_page_says_what_every_parameter_is(name):
+    """Describe each parameter and each attribute by itself: two in one entry would be a name and a type on the page."""
+    thing = getattr(bough, name)
+    text = f"{inspect.getdoc(thing)}\n{inspect.getdoc(thing.__init__) if inspect.isclass(thing) else ''}"
+    entries = re.findall(r"^ {4}(\w[\w, ]*):", text, re.MULTILINE)
+    assert not [entry for entry in entries if "," in entry]
+    assert set(inspect.signature(thing).parameters) <= set(entries)
+    assert inspect.isclass(thing) or "Returns:" in text
 
 
 def test_other_names_are_missing():

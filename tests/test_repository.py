@@ -4,13 +4,15 @@ import ast
 import re
 import subprocess
 import sys
+import warnings
 import zipfile
 from email.parser import Parser
 from pathlib import Path
 from typing import get_args, get_type_hints
 
 import pytest
-from bough.cli.main import Command
+from bough.cli.info import _EXTRAS
+from bough.cli.main import Command, main
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
@@ -31,9 +33,11 @@ ORDER = re.findall(r"^\| \[`([a-z0-9/]+)/`\]\(\1\) \|", (ROOT / "README.md").rea
 SOURCES = PACKAGE + sorted(p for room in ("tests", "benchmarks") for p in (ROOT / room).rglob("*.py"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+#: Blocks of the gallery are run by test_pages.py, which looks at their pictures.
 EXAMPLES = [
     pytest.param(block, id=f"{page.name}-{i + 1}")
     for page in PAGES
+    if page.name != "gallery.md"
     for i, block in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL))
 ]
 
@@ -53,7 +57,7 @@ def wheel(tmp_path_factory) -> zipfile.ZipFile:
     for path in [*PACKAGE, *TEMPLATES.iterdir()]:
         (copy / path.relative_to(ROOT)).parent.mkdir(parents=True, exist_ok=True)
         (copy / path.relative_to(ROOT)).write_bytes(path.read_bytes())
-    for name in ("pyproject.toml", "README.md", "LICENSE", "py.typed"):
+    for name in ("pyproject.toml", "README.md", "LICENSE", "py.typed", "MANIFEST.in", "constraints.txt"):
         (copy / name).write_bytes((ROOT / name).read_bytes())
     (copy / "tests").mkdir()
     (copy / "tests" / "test_nothing.py").write_text("")
@@ -101,7 +105,8 @@ def test_constraints_pin_what_the_project_names():
     named = list(PROJECT["project"]["dependencies"])
     for extra in PROJECT["project"]["optional-dependencies"].values():
         named += extra
-    for python in ("3.10", "3.11", "3.13"):
+    named = [requirement for requirement in named if Requirement(requirement).name != "bough"]  # extras of extras
+    for python in ("3.10", "3.11", "3.12", "3.13"):
         chosen = [p for p in pins if p.marker is None or p.marker.evaluate({"python_version": python})]
         versions = {canonicalize_name(p.name): re.fullmatch(r"==([^*,]+)", str(p.specifier))[1] for p in chosen}
         assert len(versions) == len(chosen), f"a package pinned twice for Python {python}"
@@ -109,6 +114,30 @@ def test_constraints_pin_what_the_project_names():
             version = versions.get(canonicalize_name(requirement.name))
             assert version, f"{requirement.name} is not pinned for Python {python}"
             assert Version(version) in requirement.specifier, f"{requirement} against {version}"
+
+
+def test_all_extras_are_what_commands_can_ask_for():
+    """Let ``all`` hold every extra that pages of install tell users of, as ``bough info`` lists them."""
+    extras = PROJECT["project"]["optional-dependencies"]
+    assert set(extras) - {"all"} == Requirement(*extras["all"]).extras | {"test", "dev", "docs", "sysid"}
+    assert set(_EXTRAS) == Requirement(*extras["all"]).extras
+    told = re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`[^|]+) \|", (ROOT / "docs/install.md").read_text(), re.M)))
+    assert set(told) == set(extras) - {"sysid"}
+
+
+@pytest.mark.parametrize("name", ["cpu", "cuda"])
+def test_images_hold_the_package(name):
+    """Copy into an image what the wheel is built from, install the pinned torch first and all extras after it."""
+    lines = re.findall(r"^([A-Z]+) (.+)$", (ROOT / "docker" / f"{name}.Dockerfile").read_text(), re.MULTILINE)
+    copied = {word for key, rest in lines if key == "COPY" for word in rest.split()[:-1]}
+    assert all((ROOT / path).exists() for path in copied)
+    sources = {name_of(p).split("/")[0] for p in PACKAGE}
+    assert copied == sources | {"constraints.txt", "pyproject.toml", "README.md", "LICENSE", "py.typed"}
+    torch, package = (rest for key, rest in lines if key == "RUN" and rest.startswith("pip "))
+    assert torch == "pip install torch --constraint /src/constraints.txt --index-url ${TORCH_INDEX}"
+    assert package == 'pip install "/src[all]" --constraint /src/constraints.txt'
+    index = dict(rest.split("=") for key, rest in lines if key == "ARG")["TORCH_INDEX"]
+    assert index.endswith("/cpu") == (name == "cpu")
 
 
 # ---- what the pages promise --------------------------------------------------------------------------------------
@@ -131,9 +160,18 @@ def _commands(choice, before=()):
         yield from _commands(first, words) if not others and len(get_args(first)) > 1 else [words]
 
 
-def test_commands_of_the_pages_exist():
+def _help(words, capsys):
+    """Return what a command's help prints; tests of the command line ask for one in a process of its own."""
+    with pytest.raises(SystemExit) as done:
+        main([*words, "--help"])
+    assert done.value.code in (None, 0)
+    return capsys.readouterr().out
+
+
+def test_commands_of_the_pages_exist(capsys, monkeypatch):
     """Find every ``bough`` command and option that a page names in the command's help."""
     commands = {" ".join(words) for words in _commands(Command)}
+    monkeypatch.setattr("warnings.showwarning", warnings.showwarning)  # `main` shows them its own way
     names, helps, begun = "|".join(sorted(commands, reverse=True)), {}, {words.split()[0] for words in commands}
     for page in [*PAGES, ROOT / "Makefile"]:
         text = page.read_text()
@@ -141,19 +179,21 @@ def test_commands_of_the_pages_exist():
             assert word in begun, f"{name_of(page)}: bough {word}"
         for command, rest in re.findall(rf"bough ({names})\b([^`\n]*(?:\n {{4,}}(?!bough )\S[^`\n]*)*)", text):
             if command not in helps:
-                run = [sys.executable, "-m", "bough", *command.split(), "--help"]
-                helps[command] = subprocess.run(run, check=True, capture_output=True, text=True).stdout
+                helps[command] = _help(command.split(), capsys)
             for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", rest):
                 assert option in helps[command], f"{name_of(page)}: bough {command} has no {option}"
     assert set(helps) == commands
 
 
 @pytest.mark.parametrize("block", EXAMPLES)
-def test_examples_of_the_pages_run(block, tmp_path):
-    """Run each Python example of the README and the pages as a program of its own."""
+def test_examples_of_the_pages_run(block, tmp_path, forked, request):
+    """Run each Python example of the README and the pages as a program of its own; the README's import all anew."""
     path = tmp_path / "example.py"  # a file, so that a kernel it may define has source
     path.write_text(block)
-    done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    if request.node.callspec.id.startswith("README") or not forked.suits():
+        done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    else:
+        done = forked.run(path)
     assert done.returncode == 0, done.stderr
 
 
@@ -173,7 +213,8 @@ def test_links_of_the_pages_lead_somewhere(page):
 def test_site_lists_every_page():
     """Name each page of ``docs`` in the site's navigation, and no other."""
     listed = set(re.findall(r": ([\w/]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
-    assert listed == {str(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}
+    written = [p for kind in ("*.md", "*.ipynb") for p in (ROOT / "docs").rglob(kind)]
+    assert listed == {str(p.relative_to(ROOT / "docs").with_suffix(".md")) for p in written}
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from ...sim.base.strict_yaml import YamlFile, nearest
 from ...sim.base.types import Array
 from ...sim.trees.measured import MeasuredBranch
 from .clock import Clock, Timed, check_clock, resampled, timed
-from .columns import read_columns
+from .columns import read_columns, resolution
 from .joints import JointSetup, check_joint_meta, joint_setup
 from .schema import (
     BranchMeta,
@@ -90,10 +90,12 @@ class JointTrajectory(Trajectory):
     Attributes:
         effort: Generalised forces on the driven joints [N m or N], columns as in `JointCase.inputs`, shape [T, I].
         output: Measured quantities, scaled, columns as in `JointCase.outputs`, shape [T, C].
+        step: What each was rounded to before it was put on another grid, 0 where it was not, shape [C].
     """
 
     effort: Array
     output: Array
+    step: Array
 
 
 @dataclass(frozen=True)
@@ -150,6 +152,13 @@ class JointCase(JointSetup):
 
 def load_case(folder: str | Path) -> BranchCase | JointCase:
     """Load a case folder of either form.
+
+    Args:
+        folder: With ``meta.yaml`` and a CSV file of each recording.
+
+    Returns:
+        A branch with its recordings (``branch-gap-case/1``), or joints that were measured directly
+        (``joint-gap-case/1``); recordings in SI units, their arrays [samples, channels].
 
     Raises:
         InputError: The folder is missing, empty or unreadable; ``meta.yaml`` or a CSV breaks the format, contradicts
@@ -472,6 +481,7 @@ def _joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) 
     for column, scale in [(i.column, i.scale) for i in inputs] + [(o.column, o.scale) for o in meta.outputs]:
         _check_span(folder / item.file, column, by_name[column] * scale)
     efforts = [by_name[i.column] * i.scale for i in inputs]
+    as_read = dict(zip(read.others, read.columns.values.T[-len(read.others) :], strict=True))
     trajectory = JointTrajectory(
         file=item.file,
         t=step * np.arange(len(read.t), dtype=np.float64),
@@ -479,5 +489,6 @@ def _joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) 
         replicate_of=None if item.replicate_of is None else item.replicate_of - 1,
         effort=np.stack(efforts, axis=-1) if efforts else np.zeros((len(read.t), 0)),
         output=np.stack([(by_name[o.column] - o.offset) * o.scale for o in meta.outputs], axis=-1),
+        step=np.array([resolution(as_read[o.column] * o.scale) if read.moved else 0.0 for o in meta.outputs]),
     )
     return trajectory, step

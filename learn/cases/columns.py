@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ...sim.base.errors import InputError
 from ...sim.base.strict_yaml import nearest
 from ...sim.base.types import Array
 from .table import Table, decimals_of, numbers_of, read_table
 
 MIN_ROWS = 3
+#: Steps between values, relative to their median, that are round-off of a file's numbers.
+FUZZ = 1e-4
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,13 @@ def read_columns(
     decimals = tuple(max(decimals_of(table.number(table.cells(row)[i])) for row in range(start, stop))
                      for i in use[:clocks])  # fmt: skip
     return Columns(path, names, values, table.first_line + start, start, decimals)
+
+
+def resolution(values: Array) -> float:
+    """Return the smallest step between different values; last digits of one value written otherwise are none."""
+    steps = np.diff(np.unique(values))
+    steps = steps[steps > FUZZ * np.median(steps)] if len(steps) else steps
+    return float(steps.min()) if len(steps) else 0.0
 
 
 def _check_header(table: Table, names: tuple[str, ...], exact: bool, clocks: int) -> None:

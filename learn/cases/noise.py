@@ -21,13 +21,13 @@ import numpy as np
 
 from ...sim.base.types import Array
 from .case import BRANCH_COLUMNS, DERIVATIVE_NOISE, BranchCase, JointCase
+from .columns import resolution
 
 ORDERS = tuple(range(2, 11))
 AGREE = 2.0
 """Estimates that differ by less than this many of their standard errors are pooled."""
-#: Steps between values, relative to their median, that are round-off of a file's numbers; and those, relative to the
-#: differences' median, that round nothing.
-FUZZ, FINE = 1e-4, 1e-3
+#: Steps, relative to the differences' median, that round nothing.
+FINE = 1e-3
 _MAD = 1.4826
 _QUIET_MIN = 4
 
@@ -75,7 +75,7 @@ def estimate_noise(case: BranchCase | JointCase) -> NoiseEstimate:
     """
     channel, signals, quiet = _channels(case)
     pairs = [(i, t.replicate_of) for i, t in enumerate(case.trajectories) if t.replicate_of is not None]
-    rounding = np.array([_resolution([s[:, c] for s in signals]) for c in range(len(channel))]) / np.sqrt(12)
+    rounding = _rounding(case, signals) / np.sqrt(12)
     methods = {
         "quiet": [quiet_sigma([s[:, c] for s in signals], [q[:, c] for q in quiet]) for c in range(len(channel))],
         "replicates": [replicate_sigma([(signals[i][:, c], signals[j][:, c]) for i, j in pairs])
@@ -116,7 +116,7 @@ def difference_sigma(signals: list[Array], orders: tuple[int, ...] = ORDERS) -> 
     Takes the lowest order whose estimate no higher order undercuts by more than the higher one's standard error
     (Lepski's rule): a higher order removes more signal but knows the noise less well.
     """
-    step = _resolution(signals)
+    step = resolution(np.concatenate(signals))
     estimates = [_one_order(signals, m, step) for m in orders if max(len(x) for x in signals) > 2 * m]
     for i, (sigma, error) in enumerate(estimates):
         if all(sigma <= higher + spread for higher, spread in estimates[i + 1 :]):
@@ -178,11 +178,12 @@ def _with_error(squares: float, freedom: int) -> tuple[float, float]:
     return sigma, sigma / np.sqrt(2 * freedom)
 
 
-def _resolution(signals: list[Array]) -> float:
-    """Smallest step between different values of a channel; last digits of one value written otherwise are none."""
-    steps = np.diff(np.unique(np.concatenate(signals)))
-    steps = steps[steps > FUZZ * np.median(steps)] if len(steps) else steps
-    return float(steps.min()) if len(steps) else 0.0
+def _rounding(case: BranchCase | JointCase, signals: list[Array]) -> Array:
+    """Return what every channel is rounded to, shape [C]: on another grid than the file's by what the file was."""
+    own = np.array([resolution(np.concatenate([s[:, c] for s in signals])) for c in range(signals[0].shape[1])])
+    if isinstance(case, BranchCase):
+        return own
+    return np.maximum(own, np.min([t.step for t in case.trajectories], axis=0))
 
 
 def _channels(case: BranchCase | JointCase) -> tuple[tuple[str, ...], list[Array], list[Array]]:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import multiprocessing
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.progress import Progress
 
+from ...sim.base.console import bar
 from ...sim.base.errors import InputError
 from ..cases.case import load_case
 from ..gap.diagnose import find_missing
@@ -51,23 +55,21 @@ def hold(
         raise InputError("exam", "--noise", f"{noise:g}", "a share of the rms, 0 to 1")
     noise = None if joints else NOISE if noise is None else noise
     out.mkdir(parents=True, exist_ok=True)
-    place = out / "results.jsonl"
-    done = [json.loads(line) for line in place.read_text().splitlines()] if place.exists() else []
     plan: list[Spec | JointCaseSpec] = []
     plan += (
         joint_plan(cases, seed)
         if noise is None
         else exam_plan(cases, seed, noise=noise, hard=hard, held_back=held_back)
     )
+    place = out / "results.jsonl"
+    done = done_before(place, plan)
     todo = [(k, s) for k, s in enumerate(plan) if k not in {d["case"] for d in done}]
-    with Progress() as bar, multiprocessing.get_context("spawn").Pool(jobs) as pool:
-        task = bar.add_task("exam", total=cases, completed=cases - len(todo))
-        for result in pool.imap_unordered(sit, todo):
+    with bar("exam", len(todo)) as advance:
+        for result in _sat(todo, jobs):
             with place.open("a") as file:
                 file.write(json.dumps(result) + "\n")
             done.append(result)
-            bar.advance(task)
-    done = [d for d in done if d["case"] < cases]
+            advance(1)
     wanted = WANTED_JOINTS if joints else WANTED
     table = grades(done, wanted)
     (out / "exam.json").write_text(json.dumps({"noise": noise, "seed": seed, "grades": table}, indent=1) + "\n")
@@ -75,6 +77,49 @@ def hold(
     text = as_text(table, noise, wanted)
     (out / "exam.md").write_text(text + "\n")
     return text
+
+
+def done_before(place: Path, plan: Sequence[Spec | JointCaseSpec]) -> list[dict[str, Any]]:
+    """Return the results of a stopped exam that belong to a plan; a line that was cut off is taken away.
+
+    Raises:
+        InputError: The file holds cases of another exam.
+    """
+    if not place.exists():
+        return []
+    *lines, rest = place.read_text().split("\n")
+    if rest:  # killed while it was written
+        place.write_text("".join(f"{line}\n" for line in lines))
+    done = [d for d in map(json.loads, lines) if d["case"] < len(plan)]
+    for d in done:
+        if d.get("spec") != _told(plan[d["case"]]):
+            found = f"case {d['case']} of another exam"
+            raise InputError(place, "", found, "the options that it was begun with, or another --out")
+    return done
+
+
+def _told(spec: Spec | JointCaseSpec) -> dict[str, Any]:
+    """Return what makes a case, as JSON reads it back."""
+    return dict(json.loads(json.dumps(asdict(spec))))
+
+
+def _sat(todo: Sequence[tuple[int, Spec | JointCaseSpec]], jobs: int) -> Iterator[dict[str, Any]]:
+    """Yield the results of cases as they come.
+
+    Raises:
+        ChildProcessError: A worker is gone, so that its case will never come.
+    """
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+        try:
+            for future in as_completed([pool.submit(sit, item) for item in todo]):
+                yield future.result()
+        except BrokenProcessPool:
+            said = "a case's process was killed, for memory perhaps; the same command goes on with what is left"
+            raise ChildProcessError(errno.ECHILD, said) from None
+        finally:  # after Ctrl-C nothing is waited for
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in multiprocessing.active_children():
+                worker.terminate()
 
 
 def sit(item: tuple[int, Spec | JointCaseSpec]) -> dict[str, Any]:
@@ -93,7 +138,7 @@ def sit(item: tuple[int, Spec | JointCaseSpec]) -> dict[str, Any]:
     keys = ("null", "out_of_library", "effects", "equivalents", "weak", "visible_gap", "rig", "outside", "rate",
             "measurement_gap")  # fmt: skip
     truth = {k: answer[k] for k in keys if k in answer}
-    return {"case": number, "kind": spec.kind, "noise": noise, "seed": spec.seed, "truth": truth,
+    return {"case": number, "kind": spec.kind, "noise": noise, "spec": _told(spec), "truth": truth,
             "verdict": verdict, "seconds": found.seconds["total"],
             "reduced_chi2": found.ranking[0].reduced_chi2, "base_reduced_chi2": found.base_reduced_chi2,
             "motion": found.motion,

@@ -72,7 +72,15 @@ def diagnose(
 ) -> Diagnosis:  # fmt: skip
     """Diagnose a case, as loaded or by its folder, and write verdict, repaired model, figures and report into ``out``.
 
-    Without ``settings`` those of ``bough diagnose`` without options are taken.
+    Args:
+        given: The case, or its folder.
+        out: Folder to write; whole or not at all.
+        settings: None takes those of ``bough diagnose`` without options.
+        resume: Go on with a killed run of the same case, settings and ``out``.
+        progress: Called with the stage and how much of it is done.
+
+    Returns:
+        Verdict, effects with intervals, where the residual is, held-out error before and after.
 
     Raises:
         InputError: The case or the settings cannot be used; nothing is written then.

@@ -21,6 +21,9 @@ def make_gym(task: str, num_envs: int = 64, **options: Any) -> TaskVectorEnv:
         num_envs: Worlds.
         options: As of `learn.gym.vector.TaskVectorEnv`: settings, seed, device, test, arrays, render_mode.
 
+    Returns:
+        ``step(actions [num_envs, joints])`` gives observations [num_envs, numbers], rewards, ends and cuts [num_envs].
+
     Raises:
         InputError: gymnasium or rsl-rl is not installed, there is no such task, or its settings cannot be.
     """

@@ -86,6 +86,9 @@ def hide(
         dt: Largest step [s].
         reach: Peak displacement aimed at, as a fraction of the branch's length.
 
+    Returns:
+        What is hidden: effects, springs [N m/rad], dampers [N m s/rad] and noise, as in the JSON file.
+
     Raises:
         InputError: A name or a number is not allowed, or the folder cannot be written.
     """

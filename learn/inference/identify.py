@@ -257,11 +257,20 @@ def identify(
 ) -> Outcome:  # fmt: skip
     """Identify a case, as loaded or by its folder, and write posterior, report and figures into ``out``.
 
-    Without ``settings`` those of ``bough identify`` without options are taken. The effects of ``model``, a
-    ``model.yaml`` of the same branch, act with the parameters that it gives; its springs and dampers are not used.
-
     What has been reached is kept in a hidden folder beside ``out`` until the run ends, so that ``resume`` goes on with
     a killed one to the same bits (on one machine's CPU).
+
+    Args:
+        given: The case, or its folder.
+        out: Folder to write; whole or not at all.
+        settings: None takes those of ``bough identify`` without options.
+        model: A ``model.yaml`` of the same branch, whose effects act with the parameters that it gives; its springs and
+            dampers are not used.
+        resume: Go on with a killed run of the same case, settings and ``out``.
+        progress: Called with the stage and how many of its steps are done.
+
+    Returns:
+        Posterior, its convergence, and predictions of the held-out recordings.
 
     Raises:
         InputError: The case, the settings or the model cannot be used; nothing is written then.

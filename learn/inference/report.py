@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -11,7 +12,10 @@ import numpy as np
 from ...sim.base.host import describe
 from ...version import __version__
 from ..cases.case import BranchCase, JointCase
+from ..replay.case_motion import case_motion
+from ..replay.recording import recordings
 from ..reports.figures import (
+    MODEL,
     amplitude_figure,
     convergence_figure,
     coverage_figure,
@@ -20,6 +24,7 @@ from ..reports.figures import (
     prediction_figure,
     residual_figure,
 )
+from ..reports.motion import ReportMotion
 from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure
 from ..samplers.registry import SAMPLERS
 from .outcome import Outcome
@@ -137,6 +142,47 @@ def headline(outcome: Outcome) -> tuple[str, str]:
     )
 
 
+def plain(outcome: Outcome) -> str:
+    """Return the verdict for who has not heard of a posterior; `headline` says the same precisely."""
+    if not outcome.posterior.convergence.converged:
+        return "Not settled: the search for springs and dampers has not come to rest. Use nothing below yet."
+    p, (scale, unit) = outcome.prediction, _shown(outcome)
+    what = "springs and dampers" if isinstance(outcome.case, BranchCase) else "parameters"
+    how = "the motion it was fitted to" if _alone(outcome) else "pushes that they were not fitted to"
+    if outcome.ratio <= TOLERANCE:
+        return f"The {what} below foretell {how} as well as the sensors can tell: {scale * p.rms:.2g} {unit}."
+    missed = f"{scale * p.rms:.2g} {unit}, where the sensors alone leave {scale * outcome.noise_floor:.2g}"
+    if outcome.posterior.agreement >= 0.25:
+        return (
+            f"Do not trust the {what} below: with the best of them {how} is missed by {missed}. Something is missing."
+        )
+    return f"Do not trust the {what} below: the search found no best ones, and misses {how} by {missed}."
+
+
+def _commands(outcome: Outcome) -> list[tuple[str, str]]:
+    """Return what to do next with this case, in the page's folder."""
+    case, branch = shlex.quote(str(outcome.case.folder.resolve())), isinstance(outcome.case, BranchCase)
+    doubted = outcome.ratio > TOLERANCE or not outcome.posterior.convergence.converged
+    diagnose = (f"bough diagnose {case} --out diagnosis", "says what the model lacks, or that it lacks nothing")
+    shown = [
+        (f"bough view . --case {case}", "shows branches drawn from the posterior beside the measured one"),
+        ("bough forest --posterior posterior.npz --out forest", "grows trees of such wood"),
+    ]
+    return [diagnose] if not branch else [diagnose, shown[0]] if doubted else [*shown, diagnose]
+
+
+def _motion(outcome: Outcome) -> ReportMotion | None:
+    """Return the held-out recording that is missed most as a motion; None where no position was foretold."""
+    p = outcome.prediction
+    k = int(np.argmax([float(np.mean(r[:, list(p.main)] ** 2)) for r in p.residual]))
+    j, median = outcome.test[k], p.median[k]
+    recording = recordings(outcome.case)[j]
+    if recording.output.shape != median.shape:
+        return None
+    shown = case_motion(outcome.case, j, recording, {"foretold": (MODEL, median)})
+    return shown and replace(shown, title="The motion, measured and foretold")
+
+
 def _advice(outcome: Outcome) -> str:
     return f"Run bough diagnose {outcome.case.folder} to find it"
 
@@ -156,7 +202,7 @@ def caveat(outcome: Outcome) -> str:
 
 def content(outcome: Outcome) -> ReportContent:
     """Return what the report page shows."""
-    text, status = headline(outcome)
+    precisely, status = headline(outcome)
     p, (scale, unit) = outcome.prediction, _shown(outcome)
     middle, low, high = outcome.posterior.interval()
     rows = zip(outcome.posterior.names, middle, low, high, outcome.posterior.units, strict=True)
@@ -165,6 +211,8 @@ def content(outcome: Outcome) -> ReportContent:
         KeyNumber("Noise floor", scale * outcome.noise_floor, unit, "RMSE of a perfect model, from the data alone."),
         KeyNumber("RMSE / noise floor", outcome.ratio, "", f"Above {TOLERANCE} the model lacks an effect."),
         KeyNumber("Coverage of 95 % intervals", 100 * p.coverage, "%", "Share of held-out points inside; 95 is ideal."),
+    ]
+    exact = [
         KeyNumber(
             "Mean interval width", scale * p.width, unit, "Of the 95 % interval over held-out points, noise included."
         ),
@@ -178,9 +226,13 @@ def content(outcome: Outcome) -> ReportContent:
     ]
     return ReportContent(
         title=f"Identification of {outcome.case.name}",
-        headline=text,
+        headline=plain(outcome),
+        precisely=precisely,
         status=status,  # type: ignore[arg-type]
         numbers=[*numbers, *_acting(outcome.settings)],
+        exact=exact,
+        commands=_commands(outcome),
+        motion=_motion(outcome),
         parameters=[ParameterRow(n, float(m), float(a), float(b), u) for n, m, a, b, u in rows],
         caveat=caveat(outcome),
         figures=_figures(outcome, scale, unit),

@@ -4,6 +4,6 @@ Uses: `kernels.effects`, `sim.base`, `sim.effects`, `learn.cases`, `learn.system
 """
 
 from .checks import Finding, check_law
-from .load import law_from
+from .load import law_from, not_compiled
 
-__all__ = ["Finding", "check_law", "law_from"]
+__all__ = ["Finding", "check_law", "law_from", "not_compiled"]

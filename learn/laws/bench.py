@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -84,30 +84,51 @@ def closed_path(angle: float, axes: int, samples: int = SAMPLES) -> tuple[Array,
     return where, rate
 
 
-def ask_joint(law: Law, values: list[float], angle: Array, rate: Array, setting: Setting = SETTING) -> Answer:
-    """Return what a law at a joint answers along motions of `SECONDS`, shapes [M, T, 3]."""
+def ask_joint(
+    law: Law, values: list[float], angle: Array, rate: Array, setting: Setting = SETTING, seconds: float = SECONDS
+) -> Answer:
+    """Return what a law at a joint answers along motions that take so many seconds, shapes [M, T, 3]."""
     motions, samples = angle.shape[:2]
     torque: wp.array = wp.full((motions, samples), value=wp.vec3d(np.nan), dtype=wp.vec3d, device="cpu")
     stiffness, damping = (wp.full((motions, samples), value=np.nan, dtype=wp.float64, device="cpu") for _ in range(2))
     wp.launch(
         joint_law_kernel(law.law, law.memory), motions,
         [wp.array(angle, dtype=wp.vec3d, device="cpu"), wp.array(rate, dtype=wp.vec3d, device="cpu"), _padded(values),
-         setting.stiffness, SECONDS / (samples - 1), torque, stiffness, damping], device="cpu",
+         setting.stiffness, seconds / (samples - 1), torque, stiffness, damping], device="cpu",
     )  # fmt: skip
     return Answer(torque.numpy(), stiffness.numpy(), damping.numpy())
 
 
-def ask_link(law: Law, values: list[float], velocity: Array, setting: Setting = SETTING) -> Array:
+def ask_link(
+    law: Law, values: list[float], velocity: Array, setting: Setting = SETTING, seconds: float = SECONDS
+) -> Array:
     """Return the force [N] of a law at a link at every velocity [m/s], shapes [M, T, 3]."""
     force: wp.array = wp.full(velocity.shape[:2], value=wp.vec3d(np.nan), dtype=wp.vec3d, device="cpu")
     wp.launch(
         link_law_kernel(law.law), len(velocity),
         [wp.array(velocity, dtype=wp.vec3d, device="cpu"), _padded(values), setting.area,
-         SECONDS / (velocity.shape[1] - 1), force],
+         seconds / (velocity.shape[1] - 1), force],
         device="cpu",
     )  # fmt: skip
     found: Array = force.numpy()
     return found
+
+
+def effort_along(
+    law: Law, values: list[float], where: Array, rate: Array, slower: float = 1.0, stronger: float = 1.0
+) -> Array:
+    """Return the torque of a joint, damper's included, or the force at a link along one way, shapes [T, 3].
+
+    A link goes the same way, at its own speed. With ``slower`` and ``stronger`` the way and the joint's spring are told
+    in units of that many seconds and joules, as ``values`` then are.
+    """
+    setting = replace(SETTING, torque=SETTING.torque * stronger)  # and so the joint's stiffness
+    if law.kind == "link":
+        speed = rate * SETTING.speed / np.abs(rate).max() / slower
+        return ask_link(law, values, speed[None], setting, SECONDS * slower)[0]
+    answer = ask_joint(law, values, where[None], rate[None] / slower, setting, SECONDS * slower)
+    effort: Array = answer.torque[0] - answer.damping[0][:, None] * rate / slower
+    return effort
 
 
 def _padded(values: list[float]) -> wp.array:

@@ -20,13 +20,27 @@ from ..replay.recording import recordings
 from ..replay.rollout import Rollout
 from ..systems.acting import Acting
 from ..systems.branch import Unknowns
-from .bench import SECONDS, SETTING, Answer, ask_joint, ask_link, closed_path, parameter_in, values_in
+from .bench import (
+    SAMPLES,
+    SECONDS,
+    SETTING,
+    Answer,
+    ask_joint,
+    ask_link,
+    closed_path,
+    effort_along,
+    parameter_in,
+    values_in,
+)
 from .recovery import Verdict, recover
 from .simulated import DAMPER, SPRING, case_for
+from .units import ASTRAY, POWERS, astray, scale_of
 
 #: Samples of the closed path at which torques are differentiated, size of the differences as a share,
 #: and samples of the path that leads there.
 PLACES, NUDGE, SHORT = np.linspace(0.03, 0.97, 41), 1e-5, 481
+#: Samples of the path at which jumps are looked for, and twice as many.
+DENSE = SAMPLES // 2
 #: Share of the work moved to and fro that may be out of balance: the path's steps are of first order, 0.1 ms.
 BALANCE = 2e-3
 #: Suffixes of names that stand for a unit, as in ``torque_Nm``; a share has none.
@@ -62,6 +76,8 @@ def check_law(effect: Effect) -> Iterator[Finding]:
             continue
         yield _boxes(law, form)
         if law.kind in ("joint", "link"):
+            yield _units(law, form)
+            yield _continuity(law, form)
             yield _energy(law, form)
         if law.kind == "joint":
             yield _derivatives(law, form)
@@ -109,6 +125,34 @@ def _faults(spec: EffectParameter) -> Iterator[str]:
         yield f"{p.name}: the name does not end with {suffix}, for {spec.unit}"
 
 
+def _units(law: Law, form: Form) -> Finding:
+    """Ask that the law is the same where seconds and joules are others: that its parameters have the units it says."""
+    stated = ", ".join(f"{p.name} [{p.unit}]" for p in law.parameters)
+    unknown = [p.unit for p in law.parameters if scale_of(p.unit) is None]
+    if unknown:
+        return Finding("units", form, "unclear", f"not known: {', '.join(unknown)}; known: {', '.join(POWERS)}")
+    away = astray(law, 1 if form == "joint" else 3)
+    if away > ASTRAY:
+        text = f"in other units of time and energy the effort is off by {away:.2g} of it: one of {stated} is no such"
+        return Finding("units", form, "missing", text)
+    return Finding("units", form, "ok", f"{stated}: the effort keeps to them")
+
+
+def _continuity(law: Law, form: Form) -> Finding:
+    """Ask that the effort does not jump: its largest change from sample to sample halves where there are twice as many.
+
+    Largest changes below a hundredth of the effort are not looked at.
+    """
+    axes, values = 1 if form == "joint" else 3, values_in(law)
+    fine, coarse = (effort_along(law, values, *closed_path(SETTING.angle, axes, n)) for n in (2 * DENSE, DENSE))
+    change, before = (float(np.abs(np.diff(e, axis=0)).max()) for e in (fine, coarse))
+    share = change / max(float(np.abs(fine).max()), 1e-300)
+    if share > 0.01 and change > 0.75 * before:
+        text = f"the effort jumps by {share:.2g} of its largest value: let it change over an angle, a rate or a time"
+        return Finding("continuity", form, "missing", text)
+    return Finding("continuity", form, "ok", f"no jump in {2 * DENSE} samples of a closed path")
+
+
 def _energy(law: Law, form: Form) -> Finding:
     """Ask that over a way out and back a passive law takes energy or gives none.
 
@@ -116,12 +160,9 @@ def _energy(law: Law, form: Form) -> Finding:
     memory W is what was lost and what a memory still stores, neither of them negative. A link goes the same way.
     """
     where, rate = closed_path(SETTING.angle, 1 if form == "joint" else 3)
-    if law.kind == "joint":
-        answer = ask_joint(law, values_in(law), where[None], rate[None])
-        effort = answer.torque[0] - answer.damping[0][:, None] * rate
-    else:
+    effort = effort_along(law, values_in(law), where, rate)
+    if law.kind == "link":
         rate = rate * SETTING.speed / np.abs(rate).max()
-        effort = ask_link(law, values_in(law), rate[None])[0]
     power = -(effort * rate).sum(1) * 2.0 / (len(rate) - 1)
     taken, moved = float(power.sum()), float(np.abs(power).sum())
     text = f"takes {taken:.3g} J of the {moved:.3g} J that it moves along a closed path"

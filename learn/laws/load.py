@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from importlib import util
 from pathlib import Path
@@ -57,3 +58,16 @@ def _line_of(error: Exception, file: Path) -> str:
             line = place.tb_lineno
         place = place.tb_next
     return f"line {line}"
+
+
+def not_compiled(error: Exception, path: str | Path) -> InputError | None:
+    """Return what Warp says of a law that it cannot compile, in one line; None for an error of another kind."""
+    if not type(error).__name__.startswith("WarpCodegen"):
+        return None
+    text = str(error.args[0] if error.args else error)  # a KeyError's own text is quoted
+    lines = re.findall(rf"at {re.escape(str(Path(path).resolve()))}:(\d+)", text)
+    said = " ".join(re.split(r"\n;", text)[-1].split())
+    wanted = "a device function of Warp's, of what bough.kernels.lanes offers"
+    return InputError(
+        str(path), f"line {lines[-1]} of the law, from its def" if lines else "the law", said[:200], wanted
+    )

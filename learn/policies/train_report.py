@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,29 @@ def sentence(folder: RunFolder) -> str:
     return f"{config['task']['name']}: {len(rows)} iterations, {steps} steps, {says} in training."
 
 
+def plain(folder: RunFolder) -> str:
+    """Return in a sentence for everybody how far the policy has come; `sentence` says it in numbers."""
+    rows, name = folder.metrics(), folder.config()["task"]["name"]
+    success = at_the_end(rows, "success")
+    if not np.isfinite(success):
+        return f"{name}: nothing can be said yet, since no attempt has ended."
+    if success == 0.0:
+        return f"{name}: not learnt. Of the last attempts in training none succeeded."
+    return f"{name}: of the last attempts in training {100.0 * success:.0f} in 100 succeeded."
+
+
+def _commands(folder: RunFolder) -> list[tuple[str, str]]:
+    """Return what to do next with a run."""
+    run = shlex.quote(str(folder.path.resolve()))
+    name = folder.config()["task"]["name"]
+    return [
+        (f"bough evaluate {run}", "tests the policy in worlds that it has not seen"),
+        (f"bough play {run} --out film", "films it"),
+        (f"bough view {run}", "shows it in the browser"),
+        (f"bough train {name} --out {run} --resume --iterations {2 * len(folder.metrics())}", "trains twice as long"),
+    ]
+
+
 def write(folder: RunFolder) -> Path:
     """Write ``learning.png`` and ``report.html`` into the folder of a run; return the page's path."""
     with output_folder(folder.path) as work:
@@ -57,7 +81,9 @@ def content(folder: RunFolder) -> ReportContent:
     name = config["task"]["name"]
     return ReportContent(
         title=f"Training of {name}",
-        headline=sentence(folder),
+        headline=plain(folder),
+        precisely=sentence(folder),
+        commands=_commands(folder),
         status="good" if at_the_end(rows, "success") > 0.0 else "warning",
         numbers=_numbers(rows),
         figures=[ReportFigure(CURVE, learning_figure(rows), _CAPTION)],
@@ -65,7 +91,6 @@ def content(folder: RunFolder) -> ReportContent:
         further=[
             (METRICS_FILE, "the numbers of every iteration"),
             (CONFIG, "settings, versions and state of the sources"),
-            (f"bough evaluate {folder.path}", "how well the policy does where it was not trained"),
             ("docs/train.md", "what the files hold and how runs go on"),
         ],
     )

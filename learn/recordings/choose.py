@@ -94,6 +94,12 @@ def _said(columns: tuple[str, ...], kind: Kind) -> list[tuple[Kind, tuple[str, .
     return [(kind, columns)] if columns else []
 
 
+def _left(table: Table, given: Given) -> list[str]:
+    """Return the columns that no flag has named as something else, such as a torque called t1."""
+    named = {*given.force, *given.torque, *given.position, *given.angle, *given.velocity}
+    return [name for name in table.header if name not in named]
+
+
 def _clock(table: Table, units: dict[str, str], given: Given, ask: Asker) -> Quantity | None:
     if given.rate is not None and given.time is not None:
         raise InputError(SOURCE, "--rate", "--time as well", "one of them")
@@ -102,7 +108,7 @@ def _clock(table: Table, units: dict[str, str], given: Given, ask: Asker) -> Qua
         return None
     name = given.time
     if name is None:
-        found = columns_like(table.header, "time")
+        found = columns_like(_left(table, given), "time")
         name = found[0][0] if len(found) == 1 else ask(
             Question("--time", f"Which column is the time? {_listed(table.header)}", _count(found, "the time"),
                      f"one of {_listed(table.header)}; or --rate HZ for rows at a steady rate"),

@@ -29,6 +29,9 @@ LONG = 0.3
 #: Largest noise of a rate relative to its rms, and largest share of a rate's rms above the filter's cut-off, at which a
 #: motion is taken for differentiable.
 NOISY, FAST = 0.1, 0.2
+#: Cut-offs that are tried where the file has none, as multiples of a twentieth of the sampling rate: up to a seventh,
+#: three times which the recording still holds. A drive that was logged slowly moves faster than a twentieth.
+FILTERS = (1.0, 1.4, 2.0, 2.8)
 #: Push that shows how long an error lives, relative to the rms of a joint's rate.
 PUSH = 0.02
 
@@ -74,8 +77,7 @@ def choose(case: BranchCase | JointCase, wanted: Fit | None = None) -> Choice:
         return Choice(case, f"{lacking} was not measured")
     if case.stated:
         return Choice(case, "meta.yaml says so", _other(case.fit))
-    found, reason = _by_data(case)
-    return Choice(replace(case, fit=found), reason, _other(found))
+    return _by_data(case)
 
 
 ALLOWED = "replay, or position and input of every joint"
@@ -94,16 +96,21 @@ def missing(case: JointCase) -> str | None:
     return lacking[0] if lacking else None
 
 
-def _by_data(case: JointCase) -> tuple[Fit, str]:
-    """Return how a case with every position and effort is fitted, and why."""
-    rough = roughness(case)
-    if rough is not None:
-        return "replay", f"every position and effort was measured, but {rough}"
+def _by_data(case: JointCase) -> Choice:
+    """Return how a case with every position and effort is fitted, with the slowest filter that its motion passes."""
+    filters = (replace(case, filter_hz=share * case.filter_hz) for share in FILTERS)
+    passed = next((x for x in filters if roughness(x) is None), None)
+    if passed is None:
+        return _chosen(case, "replay", f"every position and effort was measured, but {roughness(case)}")
     life, length = life_of_errors(case), float(np.median([t.t[-1] for t in case.trajectories]))
     lives = f"an error of the model lives {life:.2g} s in recordings of {length:.2g} s"
     if life < LONG * length:
-        return "replay", f"{lives}, so a replay forgets it"
-    return "torque", f"every position and effort was measured, and {lives}, so a replay adds it up"
+        return _chosen(case, "replay", f"{lives}, so a replay forgets it")
+    return _chosen(passed, "torque", f"every position and effort was measured, and {lives}, so a replay adds it up")
+
+
+def _chosen(case: JointCase, fit: Fit, reason: str) -> Choice:
+    return Choice(replace(case, fit=fit), reason, _other(fit))
 
 
 def roughness(case: JointCase) -> str | None:

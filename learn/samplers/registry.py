@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from ...sim.base.errors import InputError
 from ...sim.base.plugins import Registry
 
 if TYPE_CHECKING:
@@ -49,5 +50,17 @@ _KINDS = {
     "emcee": SamplerKind("emcee's ensemble sampler", _own("emcee_sampler", "Emcee"), 6000, has_step=False),
 }
 
+#: Fewest updates of a run, which `bough identify --iterations` asks for too.
+LEAST_UPDATES = 10
+
+
+def _check(kind: SamplerKind, name: str) -> None:
+    """Raise `InputError` where a package's sampler cannot be run."""
+    if not callable(kind.make):
+        raise InputError("sampler", "make", type(kind.make).__name__, "a class or a function that returns a Sampler")
+    if type(kind.updates) is not int or kind.updates < LEAST_UPDATES:
+        raise InputError("sampler", "updates", str(kind.updates), f"{LEAST_UPDATES} or more")
+
+
 #: Entry points of the group ``bough_samplers`` name a `SamplerKind`; ``nnsvgd`` is SVGD with a prior of its own.
-SAMPLERS = Registry("bough_samplers", "sampler", SamplerKind, _KINDS, reserved=("nnsvgd",))
+SAMPLERS = Registry("bough_samplers", "sampler", SamplerKind, _KINDS, reserved=("nnsvgd",), check=_check)

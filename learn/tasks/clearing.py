@@ -33,6 +33,10 @@ def make_task(
         device: ``cpu`` or ``cuda:N``.
         test: Whether all contacts are on and worlds are those of a test set.
 
+    Returns:
+        The worlds: ``step(actions [worlds, joints])`` gives observations (``policy``: [worlds, numbers]), reward
+        [worlds], done [worlds] and extras.
+
     Raises:
         InputError: There is no such task or observation group, no world, a line out of reach, or rsl-rl is missing.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -141,9 +142,31 @@ def sentence(outcome: Outcome) -> str:
 def _content(outcome: Outcome, told: Sequence[Told], how: dict[str, Any], title: str) -> ReportContent:
     o = outcome
     return ReportContent(
-        title, sentence(o), "good" if o.auc.low > 0.9 else "warning" if o.auc.low > 0.7 else "bad", _numbers(o),
-        figures=_figures(told, o.threshold), tables=_tables(o), details=how,
+        title, plain(o), "good" if o.auc.low > 0.9 else "warning" if o.auc.low > 0.7 else "bad", _numbers(o),
+        figures=_figures(told, o.threshold), tables=_tables(o), details=how, precisely=sentence(o),
+        commands=_commands(how),
     )  # fmt: skip
+
+
+def plain(o: Outcome) -> str:
+    """Return in a sentence for everybody how well touch is told; `sentence` says it in the field's terms."""
+    caught, false = 100.0 * o.recall.value, 100.0 * (1.0 - o.specificity.value)
+    return (
+        f"Of 100 moments of contact {caught:.0f} are felt, of 100 without contact {false:.0f} are taken for one, in "
+        f"{o.recordings} recordings that the classifier had not seen."
+    )
+
+
+def _commands(how: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return what to do next with the recordings."""
+    data = shlex.quote(str(Path(str(how["data"])).resolve()))
+    return [
+        (f"bough touch train {data} --out model", "trains a classifier on all of them"),
+        (
+            "bough train reach --set flag=classifier classifier=model/model.npz --out run",
+            "lets an arm learn with a classifier as its sense of touch",
+        ),
+    ]
 
 
 def _numbers(o: Outcome) -> list[KeyNumber]:

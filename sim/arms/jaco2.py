@@ -108,6 +108,9 @@ def jaco2(wrist: Literal["curved", "spherical"] = "curved") -> Arm:
     Args:
         wrist: ``curved`` (60 degree wrist, Kinova's j2n6s300) or ``spherical`` (j2s6s300).
 
+    Returns:
+        Links, capsules, joint limits [rad], speeds [rad/s] and torques [N m], and the servo's gain [N m s/rad].
+
     Raises:
         InputError: Another wrist.
     """

@@ -116,21 +116,27 @@ class ArmSimulator(Simulator):
     (`kernels.contact.arm`), contact by `kernels.contact.law`.
 
     Attributes:
-        arm, contacts: What they were made from.
-        q, qd, torque: Of the arm, torch views [worlds, dof], in rad, rad/s, N m.
+        arm: The arm, the same in all worlds.
+        contacts: What touches what.
+        q: Joint positions of the arm [rad], torch view [worlds, dof].
+        qd: Joint speeds of the arm [rad/s], [worlds, dof].
+        torque: Of the arm's servos [N m], [worlds, dof].
         target: Joint speeds that the arm is asked for, to be written in place [rad/s], [worlds, dof].
-        end_position, end_rotation: End-effector [m] and w, x, y, z, [worlds, 3] and [worlds, 4].
+        end_position: Of the end-effector [m], [worlds, 3].
+        end_rotation: Of the end-effector, w, x, y, z, [worlds, 4].
         arm_force: Net contact force on every link of the arm [N], [worlds, dof, 3], in the last substep.
         arm_peak: Greatest norm of it since it was last set to zero [N], [worlds, dof]: the rupture measure.
         branch_force: Net contact force on every capsule of the branches [N], [worlds, B, 3].
         friction: Coefficient of friction, to be written in place, [worlds].
-        line_start, line_end: Ends of the power line's axis, to be written [m], [worlds, 3]; far below at first.
+        line_start: Where the power line's axis begins, to be written [m], [worlds, 3]; far below at first.
+        line_end: Where it ends [m], [worlds, 3].
         line_mask: 1 where branches touch the line, int32, to be written in place, [worlds].
         start_q: Joint positions that `reset` returns to, to be written in place [rad], [worlds, dof].
         overflow: Contacts that found no room since the last reset, int32 [worlds]; see `without_room`.
         unsettled: 1 where the contacts' forces of the last substep were still changing, int32 [worlds].
         rupture: Strength of every joint and which are broken (`Rupture`), None unless ``breakable``.
-        capsules, line: The same as Warp arrays, for perception.
+        capsules: Arm and branches as Warp arrays, for perception.
+        line: The line as Warp arrays, for perception.
     """
 
     def __init__(

@@ -235,7 +235,8 @@ def warn(text: str) -> None:
 def start_warp(*, torch: bool = True) -> None:
     """Import Warp and, where it will be needed, torch; Ctrl-C waits meanwhile.
 
-    Warp is initialised without its greeting and without its complaint that there is no GPU; what else it says is kept.
+    Warp is initialised without its greeting and without its complaints that there is no GPU and that it will not run on
+    Python 3.10 for ever, which the page of install tells; what else it says is kept.
     """
     with uninterrupted():
         import warp as wp
@@ -244,7 +245,7 @@ def start_warp(*, torch: bool = True) -> None:
             import_module("torch")
     wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
     for line in _said_by_native_code(wp.init):
-        if "CUDA driver" not in line:
+        if "CUDA driver" not in line and "Support for Python 3.10" not in line:
             print(line, file=sys.stderr)
 
 

@@ -11,6 +11,12 @@ class InputError(ValueError):
 
     Its text is one line, ``file: place: found; allowed``, printed as it is by the command line, which then exits
     with code 2.
+
+    Args:
+        source: The file or the command.
+        place: Where in it: a line, a field, an option; may be empty.
+        found: What is there.
+        allowed: What may be there.
     """
 
     def __init__(self, source: str | Path, place: str, found: str, allowed: str) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -218,6 +218,17 @@ def register(effect: Effect) -> Effect:
             raise InputError("effects", effect.name, f"kind {law.kind} and law {law.law}", "a law with its kind")
     _ROWS[effect.name] = effect
     return effect
+
+
+def registered() -> tuple[str, ...]:
+    """Return the names registered so far, without those of packages that still wait."""
+    return tuple(_ROWS)
+
+
+def take_back(names: Iterable[str]) -> None:
+    """Forget effects, such as those that a module registered before it failed."""
+    for name in tuple(names):
+        del _ROWS[name]
 
 
 def effects() -> tuple[Effect, ...]:

@@ -31,7 +31,8 @@ class Model:
         trees: The description of every world.
         width: Worlds a thread (lanes), 1, 8 or 16.
         precision: 32 or 64 bit.
-        groups, places: Kernel arrays are [groups, places + 1]; place 0 is the world.
+        groups: Kernel arrays are [groups, places + 1], a thread each.
+        places: Links that kernel arrays have room for, beside place 0, the world.
         world_slot: Slot of every world, shape [worlds]; slot = group * width + lane.
         arrays: The fields of `kernels.tree.layout` Model as `LaneArray`, by name.
         kernel: The Warp struct that kernels take.

@@ -36,12 +36,14 @@ class Simulator:
     that keeps the step stable (`kernels.tree.stability`), which is none where MuJoCo's ``implicitfast`` is stable too.
 
     Attributes:
-        model, state: The worlds.
+        model: What is constant of the worlds.
+        state: What moves: coordinates, velocities, faults.
         effects: Parameters of the effects that act, ``effects[name][parameter]``, torch tensors to be written in place,
             [worlds, links] (laws at joints, masses at links' ends) or [worlds]; neutral at first (`ForestEffects`).
         dt: Length of one call of `step` [s], taken in ``substeps`` equal parts.
-        position, rotation: Body frames of all worlds after `observe`, torch views [worlds, links, 3] in m and
-            [worlds, links, 4] as w, x, y, z; links in the order of each world's tree.
+        position: Origins of the body frames after `observe` [m], torch view [worlds, links, 3]; links in the order of
+            each world's tree.
+        rotation: Orientations of the body frames after `observe`, w, x, y, z, torch view [worlds, links, 4].
     """
 
     #: Share of the articulated inertia that explicit springs may use up before they are made implicit.

@@ -17,8 +17,14 @@ ALLOWED = "an MJCF file (.xml, .mjcf), a URDF file (.urdf) or a compiled MuJoCo 
 def load_mechanism(source: str | Path, allowed: str = ALLOWED, *, ignore: Sequence[str] = ()) -> Mechanism:
     """Read an MJCF file, a URDF file or a compiled MuJoCo model, told apart by its suffix.
 
-    ``ignore`` names what may be left out of what a `Tree` does not have, by words of `bough.sim.formats.omissions`
-    ("limits", "contacts", "actuators" ... or "all"); `Mechanism.ignored` lists what was.
+    Args:
+        source: The file.
+        allowed: What an error says there may be.
+        ignore: Words of `bough.sim.formats.omissions` ("limits", "contacts", "actuators" ... or "all") for what may be
+            left out of what a `Tree` does not have; `Mechanism.ignored` lists what was.
+
+    Returns:
+        Tree, gravity [m/s^2], start coordinates, friction [N m or N] and what was left out.
 
     Raises:
         InputError: No such file, another suffix (``allowed`` says which there are), or what `load_mjcf` and `load_urdf`

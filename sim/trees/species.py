@@ -189,15 +189,19 @@ def grow_forest(
     Tree i depends on ``seed`` and i alone, not on ``count``. Order 2 takes about 1 ms a tree on one core.
 
     Args:
-        species: As for `grow`.
+        species: Ta, Tb, Tc or Td, upper or lower case.
         count: Number of trees.
-        order: As for `grow`.
-        noise: As for `grow`.
+        order: Number of iterations n: 2 * 3^n - 1 links, which is 1, 5, 17, 53, 161 for n = 0 to 4.
+        noise: Standard deviation of the noise relative to each parameter of the rules, 0 to 1.
         seed: Seed of the forest.
-        options: Further arguments of `grow`.
+        options: Further arguments of `grow`: scale [m per unit], width_scale [m per unit], density [kg/m^3], joint,
+            fixed_base, stiffness (``rudimentary`` or ``beam``).
+
+    Returns:
+        One tree each, standing at the origin.
 
     Raises:
-        InputError: ``count`` is below 1; otherwise as for `grow`.
+        InputError: ``count`` is below 1, an unknown species, a negative order, noise outside 0 to 1.
     """
     if count < 1:
         raise InputError("--count", "", str(count), "1 or more")

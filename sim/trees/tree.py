@@ -68,7 +68,8 @@ class Tree:
             the first for the others, shape [L, 3].
         level: Branching order, 0 for the trunk, shape [L].
         shape_link: Link that each capsule belongs to, shape [S].
-        shape_start, shape_end: End points of each capsule's axis in the body frame [m], shape [S, 3].
+        shape_start: Where each capsule's axis begins, in the body frame [m], shape [S, 3].
+        shape_end: Where it ends [m], shape [S, 3].
         shape_radius: Radius at start and end [m], shape [S, 2].
     """
 

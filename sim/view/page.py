@@ -17,12 +17,11 @@ from ..base.errors import InputError
 from ..base.extras import install_hint
 from ..base.types import Array
 from ..pictures.scale import round_length
+from .wood import MANY
 
 #: Slant of the camera: it looks along +y from the front right, a little from above.
 _FROM = np.array([0.42, -0.87, 0.26])
 _FIELD = np.radians(40.0)
-_SHADED = 1500
-"""Capsules up to which there are shadows at first: drawing them takes three passes more."""
 
 
 @dataclass
@@ -89,8 +88,8 @@ class Page:
         )  # fmt: skip
 
     def shadows(self, capsules: int) -> None:
-        """Let things cast shadows, at first where there are few; a control switches it."""
-        scene, first = self.server.scene, capsules <= _SHADED
+        """Let things cast shadows, at first where there are few: they take three passes more; a control switches it."""
+        scene, first = self.server.scene, capsules <= MANY
         scene.configure_default_lights(cast_shadow=first)
         control = self.server.gui.add_checkbox("shadows", first)
         control.on_update(lambda _event: scene.configure_default_lights(cast_shadow=control.value))

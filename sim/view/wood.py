@@ -10,7 +10,10 @@ from ..base.types import Array, IntArray
 
 #: Tapers that rods are drawn with; a rod has the nearest, its lower end is exact and the ball hides what is left.
 _TAPERS = np.array([1.0, 0.85, 0.7, 0.5, 0.25])
-_SIDES = 8
+#: Sides of a rod, and of one where there are many.
+_SIDES, _FEW_SIDES = 8, 5
+#: Capsules above which triangles are few and their light is simple: without a graphics card that is what a frame costs.
+MANY = 1500
 
 
 class Wood:
@@ -40,21 +43,24 @@ class Wood:
         """
         start, end = ends
         self._scene, self._name = scene, name
+        many = len(start) > MANY
+        sides = _FEW_SIDES if many else _SIDES
         wide = np.maximum(radius.max(axis=1), 1e-6)
         self._flip = radius[:, 1] > radius[:, 0]
         nearest = np.abs((radius.min(axis=1) / wide)[:, None] - _TAPERS).argmin(axis=1)
         self.members: list[IntArray] = [np.flatnonzero(nearest == k) for k in np.unique(nearest)]
-        look: dict[str, Any] = {"lod": "off", "opacity": opacity, "cast_shadow": opacity is None}
+        look: dict[str, Any] = {"lod": "off", "opacity": opacity, "cast_shadow": opacity is None,
+                                "material": "toon3" if many else "standard"}  # fmt: skip
         position, turn, length = _along(*self._ordered(start, end))
         self.rods = []
         for k, chosen in zip(np.unique(nearest), self.members, strict=True):
             scale = np.column_stack([wide[chosen], wide[chosen], length[chosen]])
             self.rods.append(scene.add_batched_meshes_simple(
-                f"{name}/rods{k}", *_rod(_TAPERS[k]), turn[chosen], position[chosen], batched_scales=scale,
+                f"{name}/rods{k}", *_rod(_TAPERS[k], sides), turn[chosen], position[chosen], batched_scales=scale,
                 batched_colors=_bytes(color[chosen]), **look,
             ))  # fmt: skip
         self.balls = scene.add_batched_meshes_simple(
-            f"{name}/balls", *_ball(), np.tile([1.0, 0.0, 0.0, 0.0], (len(end), 1)), end,
+            f"{name}/balls", *_ball(many), np.tile([1.0, 0.0, 0.0, 0.0], (len(end), 1)), end,
             batched_scales=np.maximum(radius[:, 1], 1e-6), batched_colors=_bytes(color), **look,
         )  # fmt: skip
 
@@ -98,20 +104,23 @@ def _along(start: Array, end: Array) -> tuple[Array, Array, Array]:
     return start, turn, np.maximum(length, 1e-6)
 
 
-def _rod(taper: float) -> tuple[Array, IntArray]:
+def _rod(taper: float, sides: int) -> tuple[Array, IntArray]:
     """Return an open cone of length 1 along z, radius 1 at 0 and ``taper`` at 1: vertices and faces."""
-    angle = np.arange(_SIDES) * 2.0 * np.pi / _SIDES
+    angle = np.arange(sides) * 2.0 * np.pi / sides
     ring = np.column_stack([np.cos(angle), np.sin(angle)])
-    low, high = (np.column_stack([r * ring, np.full(_SIDES, z)]) for r, z in ((1.0, 0.0), (taper, 1.0)))
-    k = np.arange(_SIDES)
-    after = (k + 1) % _SIDES
-    faces = [np.column_stack([k, after, after + _SIDES]), np.column_stack([k, after + _SIDES, k + _SIDES])]
+    low, high = (np.column_stack([r * ring, np.full(sides, z)]) for r, z in ((1.0, 0.0), (taper, 1.0)))
+    k = np.arange(sides)
+    after = (k + 1) % sides
+    faces = [np.column_stack([k, after, after + sides]), np.column_stack([k, after + sides, k + sides])]
     return np.concatenate([low, high]), np.concatenate(faces)
 
 
-def _ball() -> tuple[Array, IntArray]:
-    """Return a ball of radius 1: vertices and faces."""
+def _ball(many: bool) -> tuple[Array, IntArray]:
+    """Return a ball of radius 1, of 80 faces, or an octahedron where there are many: vertices and faces."""
     import trimesh
 
-    mesh = trimesh.creation.icosphere(subdivisions=1)
+    if many:
+        mesh = trimesh.Trimesh(np.concatenate([np.eye(3), -np.eye(3)])).convex_hull
+    else:
+        mesh = trimesh.creation.icosphere(subdivisions=1)
     return np.asarray(mesh.vertices), np.asarray(mesh.faces)

@@ -9,6 +9,7 @@ from typing import get_args, get_type_hints
 import bough as package
 import pytest
 from bough.cli.main import Command
+from oracles import json_page
 
 
 def _leaves(commands):
@@ -81,7 +82,9 @@ def test_results_as_json(bough, inside):
     def printed(*arguments, run=inside):
         done = run(*arguments, "--json")
         assert done.code == 0, done.err
-        return json.loads(done.out)
+        result = json.loads(done.out)
+        json_page.check(arguments[0], result)
+        return result
 
     facts = printed("info", run=bough)
     assert facts["bough"].startswith(package.__version__) and facts["self-check"].startswith("passed")
@@ -92,6 +95,16 @@ def test_results_as_json(bough, inside):
     assert (moved["worlds"], moved["frozen"], moved["steps"], moved["out"]) == (2, 0, 12, "moved")
     answer = printed("hide", "--segments", 1, "--samples", 40, "--out", "case")
     assert answer == json.loads(Path("case_answer.json").read_text())
+
+
+def test_page_of_results_tells_every_command():
+    """Have a table on the page for every command that prints JSON; a key that it does not tell is an error."""
+    assert len(json_page.tables()) == len(WORKING) - len(SERVING) - 2  # chapters 3 to 5 have one
+    json_page.check("touch train", {"out": "x", "auc": 0.9, "threshold": 1})
+    for wrong in ({"out": "x", "auc": 0.9}, {"out": "x", "auc": 0.9, "threshold": "1"},
+                  {"out": "x", "auc": 0.9, "threshold": 1, "other": 2}):  # fmt: skip
+        with pytest.raises(AssertionError, match=r"bough touch train"):
+            json_page.check("touch train", wrong)
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])

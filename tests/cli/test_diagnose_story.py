@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from oracles import json_page
 
 SMALL = ("--segments", 1, "--samples", 60)
 #: Few names make a small kernel.
@@ -41,6 +42,7 @@ def test_hidden_effect_is_found_and_shown(diagnosed):
     """Name it in the printed line, the verdict file and the page; draw every figure that the page promises."""
     out, done = diagnosed
     verdict = json.loads((out / "verdict.json").read_text())
+    json_page.check("diagnose", verdict)
     assert verdict["verdict"] == "effects" and [e["name"] for e in verdict["effects"]] == ["force_scale"]
     assert verdict["gap"]["repaired"] < 0.7 * verdict["gap"]["base"]
     scale = verdict["effects"][0]["parameters"]["scale"]
@@ -160,7 +162,10 @@ def test_exam_is_marked_and_goes_on(bough):
     done = bough("exam", "--cases", 2, "--jobs", 1, "--out", "out")
     assert done.code == 0, done.err
     assert Path("out/results.jsonl").read_text().startswith(first)
+    json_page.check("exam", json.loads(Path("out/exam.json").read_text()))
     assert "false alarm on null" in done.out and (Path("out/confusion.png")).stat().st_size > 10_000
+    again = bough("exam", "--cases", 2, "--jobs", 1, "--out", "out", "--json")  # nothing is left to do
+    assert json.loads(again.out) == json.loads(Path("out/exam.json").read_text())
     bough("exam", "--cases", 0, "--out", "out").refused("--cases")
 
 

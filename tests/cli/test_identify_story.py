@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from oracles import json_page
 
 QUICK = ("--particles", 24)
 
@@ -29,6 +30,7 @@ def test_identify_writes_posterior_and_report(identified, measured):
     """Learn a small case and write the promised files and numbers; the springs come out near the truth."""
     truth = measured[1]
     report = json.loads((identified / "report.json").read_text())
+    json_page.check("identify", report)
     assert {"coverage_95", "interval_95_width_m", "rms_misfit_m", "noise_floor_m", "mean_crps_m"} <= report.keys()
     assert report["converged"] is True
     assert all(p["low"] <= p["median"] <= p["high"] for p in report["parameters"].values())

@@ -43,8 +43,9 @@ def site(tmp_path_factory):
         folder, "broken-parts",
         {"bough_tasks": "gone = no_such_module:x\nmisnamed = someones_task:calm",
          "bough_arms": "bent = broken:bent", "bough_probes": "wild = broken:wild",
-         "bough_samplers": "number = broken:number"},
+         "bough_samplers": "number = broken:number\nstill = broken:still"},
         {"broken.py": "number = 3\n\ndef bent():\n    raise ValueError('no\\nsuch arm')\n\n"
+                      "from bough.learn.samplers.registry import SamplerKind\nstill = SamplerKind('idle', dict, 0)\n\n"
                       "from bough.learn.replay.probes import ArmProbe, Push\n"
                       "wild = ArmProbe('wild', (Push(0, 1.0, 1.0, lambda t: 7.0 * t),))\n"},
     )  # fmt: skip
@@ -74,7 +75,8 @@ def lines(text: str) -> str:
 def test_names_are_told(bough, installed, tmp_path, monkeypatch):
     """List the parts of packages, say which are broken and why, refuse bough's own names; the helps list them too."""
     install(tmp_path, "clash", {"bough_tasks": "powerline = broken:x", "bough_samplers": "nnsvgd = broken:number",
-                                "bough_effects": "bent = no_law"}, {})  # fmt: skip
+                                "bough_effects": "bent = no_law\nbye = law_bye\nempty = law_empty"},
+            {"law_bye.py": "raise SystemExit(3)", "law_empty.py": "x = 1"})  # fmt: skip
     with monkeypatch.context() as patch:
         patch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
         done = bough("info")
@@ -83,10 +85,13 @@ def test_names_are_told(bough, installed, tmp_path, monkeypatch):
                   r"probe +twist \(someones-parts 1.0\)", r"sampler +mala \(someones-parts 1.0\)",
                   r"task +gone: BROKEN: broken-parts 1.0: task gone: found ModuleNotFoundError: No module named",
                   r"task +misnamed: BROKEN: .*names: found calm; allowed: names with misnamed",
-                  r"effect +bent: BROKEN: clash 1.0: ModuleNotFoundError: No module named 'no_law'",
+                  r"effect +bent: BROKEN: clash 1.0: effect bent: found ModuleNotFoundError: No module named 'no_law'",
                   r"arm +bent: BROKEN: .*found ValueError: no such arm;",
                   r"probe +wild: BROKEN: .*course: found .*-1 to 1",
-                  r"sampler +number: BROKEN: .*found TypeError: .*SamplerKind"):  # fmt: skip
+                  r"sampler +number: BROKEN: .*found TypeError: .*SamplerKind",
+                  r"sampler +still: BROKEN: broken-parts 1.0: sampler still: sampler: updates: found 0; allowed: 10",
+                  r"effect +bye: BROKEN: clash 1.0: effect bye: found SystemExit: 3",
+                  r"effect +empty: BROKEN: clash 1.0: effect empty: .*a module that registers no effect"):  # fmt: skip
         assert re.search(rf"^{words}", done.out, re.MULTILINE), (words, done.out)
     for name, group in (("powerline", "tasks"), ("nnsvgd", "samplers")):
         told = f"bough: warning: clash 1.0: {name} of bough_{group} is refused: bough has one of that name"

@@ -12,6 +12,7 @@ import numpy as np
 import PIL.Image
 import pytest
 import yaml
+from oracles import json_page
 from oracles.branch_case import Branch, simulate
 from oracles.random_mjcf import RandomMjcf
 
@@ -114,6 +115,7 @@ def test_a_fault_is_replayed(bough, inside, tmp_path):
     assert [p.name for p in (tmp_path / "faults").iterdir()] == ["world_0001.npz"]
     replayed = bough("replay", "faults/world_0001.npz")
     assert replayed.code == 0, replayed.err
+    json_page.check("replay", json.loads(inside("replay", "faults/world_0001.npz", "--json").out))
     *table, end = replayed.out.splitlines()
     assert f"world 1 was lost at {frozen:.6g} s" in end and "link arm" in end and "faster than" in end
     assert len(table) > 2 and all(line.split()[-1] == "0" for line in table[1:])

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from bough.cli.main import main
+from oracles import json_page
 
 pytest.importorskip("sklearn")
 rosbags = pytest.importorskip("rosbags")
@@ -32,10 +33,12 @@ def small(simulated, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def trained(small, tmp_path_factory):
+def trained(small, inside, tmp_path_factory):
     """Train on the small folder."""
     out = tmp_path_factory.mktemp("touch") / "model"
-    assert main(["touch", "train", str(small), "--out", str(out)]) == 0
+    done = inside("touch", "train", small, "--out", out, "--kind", "forest", "--seed", 0, "--json")
+    assert done.code == 0, done.err
+    json_page.check("touch train", json.loads(done.out))
     return out / "model.npz"
 
 
@@ -47,9 +50,12 @@ def test_every_place_is_touched_from_every_side(simulated):
     assert sum(contact[:56]) > 45 and not any(contact[56:])
 
 
-def test_recording_is_repeatable(simulated, tmp_path):
-    """Give the same bytes for the same seed."""
-    assert main(["touch", "record", "--out", str(tmp_path / "b"), "--rounds", "1", "--seconds", "3"]) == 0
+def test_recording_is_repeatable(simulated, inside, tmp_path):
+    """Give the same bytes for the same seed and force, which are those of a command without them."""
+    same = ["--rounds", 1, "--seconds", 3, "--seed", 0, "--force", 2]
+    done = inside("touch", "record", "--out", tmp_path / "b", *same, "--json")
+    assert done.code == 0, done.err
+    json_page.check("touch record", json.loads(done.out))
     for name in ("00000.csv", "00099.csv", "recordings.csv"):
         assert (tmp_path / "b" / name).read_bytes() == (simulated / name).read_bytes()
 
@@ -59,15 +65,17 @@ def test_fit_finds_the_sensor_that_recorded(simulated, tmp_path, capsys):
     assert main(["touch", "fit", str(simulated), "--out", str(tmp_path)]) == 0
     assert "10.0 Hz; noise at rest" in capsys.readouterr().out
     found, given = (json.loads((p / "sensor.json").read_text()) for p in (tmp_path, simulated))
+    json_page.check("touch fit", found)
     assert found["rate"] == pytest.approx(10.0, rel=1e-4)
     assert all(0.5 < a / b < 2.0 for a, b in zip(found["still"][:3], given["still"][:3], strict=True))
 
 
 def test_evaluate_leaves_one_out(small, tmp_path, capsys):
     """Write a page with its figures inside and numbers that agree with each other."""
-    assert main(["touch", "evaluate", str(small), "--out", str(tmp_path)]) == 0
+    assert main(["touch", "evaluate", str(small), "--out", str(tmp_path), "--kind", "forest", "--seed", "0"]) == 0
     assert re.search(r"AUC 0\.\d+ \(.*specificity .*20 recordings .*report.html", capsys.readouterr().out)
     said = json.loads((tmp_path / "touch.json").read_text())
+    json_page.check("touch evaluate", said)
     (free, wrong), (lost, found) = said["confusion"]
     assert free + wrong + lost + found == said["rows"][1] == 20 * 30
     assert said["recall"]["value"] == pytest.approx(found / (found + lost))

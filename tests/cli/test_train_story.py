@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from oracles import json_page
 from oracles.oscillator import write_case
 
 TINY = ("--preset", "cpu", "--device", "cpu", "--num-envs", 12)
@@ -74,10 +75,12 @@ def test_a_run_among_branches_with_effects(bough, tmp_path):
     report = (out / "report.html").read_text()
     friction = f"dry_friction (torque_Nm over its spring {0.21 / spring:.3g}, bend_rad 0, gradual 0)"
     assert f"tip_mass (mass_kg 0.08), {friction}" in report
-    done = bough("evaluate", out, "--sets", 1, "--worlds", 8, "--device", "cpu")
+    done = bough("evaluate", out, "--sets", 1, "--worlds", 8, "--device", "cpu", "--json")
     assert done.code == 0, done.err
-    done = bough("train", "powerline", "--out", out, "--resume", "--iterations", 2)
+    json_page.check("evaluate", json.loads(done.out))
+    done = bough("train", "powerline", "--out", out, "--resume", "--iterations", 2, "--json")
     assert done.code == 0, done.err
+    json_page.check("train", json.loads(done.out))
 
 
 def test_a_run_in_a_diagnosed_branch_s_wood(bough, tmp_path):

@@ -30,6 +30,7 @@ from ...replay.rollout import Rollout
 from ...systems.branch import Unknowns
 from ...systems.system import box_of, values_of
 from .candidates import Candidate, everywhere, passes_neutral
+from .memory import Remembered
 from .nuisance import none_of
 
 #: Parameter sets per launch; a small remainder runs in launches of the second size.
@@ -146,6 +147,12 @@ class Contest:
         """Return the same contest, sharing memory, with steps half as long."""
         out = copy(self)
         out.finer, out._rollouts = 2 * self.finer, {}
+        return out
+
+    def remembering(self) -> Contest:
+        """Return the same contest, sharing memory, that simulates nothing twice in a row."""
+        out = copy(self)
+        out.simulate = Remembered(self.simulate)  # type: ignore[method-assign]
         return out
 
     def beginnings(self, share: float) -> Contest:

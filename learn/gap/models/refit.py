@@ -71,6 +71,7 @@ def _fit(contest: Contest, batch: Batch, iterations: int) -> Fits:
 
     Phases of joints drift over many swings, so that their derivatives need narrower ones still.
     """
+    contest = contest.remembering()
     fits = evaluated(contest, batch)
     steps, last = torch.full_like(fits.cost, STEP), NARROWEST if batch.start.numel() else NARROW
     for _ in range(iterations):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles import json_page
 
 pytest.importorskip("rosbags", reason="bags need pip install 'bough[touch]'")
 
@@ -41,8 +43,9 @@ def test_joint_torques_less_gravity(inside, probed, name):
     """Find the force by J^T and the motion by the joints, in ROS 1, MCAP and SQLite; MuJoCo knows both."""
     bag = Bag(Path(name).absolute())
     bag.joints(probed)
-    done = inside("import-case", bag.write(), *HELD, "--out", "case")
+    done = inside("import-case", bag.write(), *HELD, "--out", "case", "--json")
     assert done.code == 0, done.err
+    json_page.check("import-case", json.loads(done.out))
     assert "less what holds jaco2_curved against gravity" in done.out and "a grid of 60 Hz" in done.out
     # gravity and Jacobian agree with MuJoCo to 1e-6; the force is up to 20 N
     check(load_case("case"), probed, force=1e-4, motion=1e-6)

@@ -16,6 +16,7 @@ import pytest
 import yaml
 from bough.cli.robots.recordings import ImportCase, NewCase, flag_helps
 from bough.learn.cases.case import load_case
+from oracles import json_page
 from oracles.branch_case import make_branch_case
 
 STIFFNESS, LEVER = 40.0, 0.8  # N m/rad, m
@@ -118,8 +119,9 @@ def test_without_a_lever_it_is_a_mass_on_a_spring(inside):
     rows = [f"{trial},{a:.6f},{b:.9f},{c:.9f}" for trial in (1, 2)
             for a, b, c in zip(t, 50 * motion / 9.80665, motion * 100 + 3, strict=True)]  # fmt: skip
     Path("pull.csv").write_text("trial,time,scale,tape\n-,s,kg,cm\n" + "\n".join(rows) + "\n")
-    done = inside("new-case", "pull.csv", "--only", "trial=2", "--force", "scale", "--out", "case")
+    done = inside("new-case", "pull.csv", "--only", "trial=2", "--force", "scale", "--out", "case", "--json")
     assert done.code == 0, done.err
+    json_page.check("new-case", json.loads(done.out))
     assert "grid of 20 Hz" in done.out and "mass on a spring" in done.out and "scale [kg]" in done.out
     run = load_case("case").trajectories[0]
     # between samples of the jittered clock: the second difference of the motion over eight
@@ -149,13 +151,16 @@ ARM = """<mujoco><compiler angle="radian"/><worldbody><body name="upper"><joint 
 
 
 def test_joints_of_a_mechanism(inside):
-    """Take torques and angles of two joints in degrees and N mm into a case of an MJCF file; refuse one too many."""
+    """Take torques and angles of two joints in degrees and N mm into a case of an MJCF file; refuse one too many.
+
+    Torques called t1 and t2 are no clocks once they are named.
+    """
     rng = np.random.default_rng(0)
     t, q, tau = np.arange(100) / 50, rng.normal(size=(100, 2)), rng.normal(size=(100, 2))
     np.savetxt("arm.csv", np.column_stack([t, tau * 1e3, np.degrees(q)]), "%.12g", ",", comments="",
-               header="t_s,tau1 [Nmm],tau2 [Nmm],q1 [deg],q2 [deg]")  # fmt: skip
+               header="t_s,t1 [Nmm],t2 [Nmm],q1 [deg],q2 [deg]")  # fmt: skip
     Path("arm.xml").write_text(ARM)
-    columns = ("--torque", "tau1 [Nmm]", "tau2 [Nmm]", "--angle", "q1 [deg]", "q2 [deg]")
+    columns = ("--torque", "t1 [Nmm]", "t2 [Nmm]", "--angle", "q1 [deg]", "q2 [deg]")
     inside("new-case", "arm.csv", *columns, "--out", "case").refused("--mjcf", "2 angles without a mechanism")
     done = inside("new-case", "arm.csv", *columns, "--mjcf", "arm.xml", "--unknown", "damping", "com", "--out", "case")
     assert done.code == 0 and "joints shoulder, elbow of arm.xml" in done.out, done.err
@@ -163,7 +168,7 @@ def test_joints_of_a_mechanism(inside):
     assert case.unknown == ("damping", "com") and case.fit == "torque"
     np.testing.assert_allclose(case.trajectories[0].output, q, rtol=1e-10)
     np.testing.assert_allclose(case.trajectories[0].effort, tau, rtol=1e-10)
-    one = ("--torque", "tau1 [Nmm]", "--angle", "q1 [deg]", "--mjcf", "arm.xml")
+    one = ("--torque", "t1 [Nmm]", "--angle", "q1 [deg]", "--mjcf", "arm.xml", "--time", "t_s")
     inside("new-case", "arm.csv", *one, "--out", "two").refused("--mjcf", "2 joints (shoulder, elbow) for 1 columns")
 
 

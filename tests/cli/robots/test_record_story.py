@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles import json_page
 
 pytest.importorskip("fastapi", reason="the service needs pip install 'bough[robot]'")
 pytest.importorskip("uvicorn")
@@ -111,6 +112,7 @@ def test_seconds_and_what_is_refused(served, inside, tmp_path):
     done = inside("record", url, "--token-file", token, "--seconds", 0.5, "--out", tmp_path / "bag", "--json")
     signal.signal(signal.SIGTERM, handler)
     assert done.code == 0 and 20 <= json.loads(done.out)["ticks"] <= 31
+    json_page.check("record", json.loads(done.out))
     inside("record", url, "--out", tmp_path / "other").refused("status 40", "--token-file")
     inside("record", "http://127.0.0.1:9", "--out", tmp_path / "other").refused("nothing that answers")
     inside("record", "robot:3738", "--out", tmp_path / "other").refused("http://HOST:PORT")

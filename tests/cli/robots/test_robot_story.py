@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 import yaml
+from oracles import json_page
 
 pytest.importorskip("fastapi", reason="the service needs the extra robot")
 pytest.importorskip("uvicorn")
@@ -362,6 +363,7 @@ def test_options_that_cannot_be_are_refused(inside, tmp_path):
     limits.write_text(printed.out)
     as_json, as_yaml = json.loads(inside("robot", "limits", "--json").out), yaml.safe_load(printed.out)
     assert as_json["torque_Nm"] == as_yaml["torque_Nm"] and as_json["lower_deg"][:2] == [None, 47]
+    json_page.check("robot limits", as_json)
     assert printed.code == 0
     from bough.learn.robot.limits import default_limits, read_limits
 

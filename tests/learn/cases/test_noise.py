@@ -102,3 +102,24 @@ def test_rounded_angles_keep_their_rounding() -> None:
     found = estimate_noise(load_case(DATA / "pendulum"))
     assert found.channel == ("angle_deg",) and found.sigma[0] >= np.radians(0.09) / np.sqrt(12) * 0.99
     assert np.isnan(found.by_method["replicates"]).all()
+
+
+def test_counts_on_another_grid_are_still_rounded(tmp_path):
+    """A coarse encoder whose clock has jitter, mostly at rest: between counts the grid knows no more than the encoder.
+
+    Of resampled counts the smallest step is a thousandth of one and most differences are none at all.
+    """
+    count, rng = 1e-3, np.random.default_rng(1)
+    t = np.cumsum(rng.uniform(0.009, 0.011, 600))
+    angle = np.round(0.05 * np.sin(2.0 * t) * (t > 4.0) / count) * count
+    rows = "\n".join(f"{a:.6f},{b:.4f},{np.cos(a):.5f}" for a, b in zip(t, angle, strict=True))
+    (tmp_path / "run.csv").write_text("time_s,angle,torque\n" + rows + "\n")
+    (tmp_path / "meta.yaml").write_text(
+        "format: joint-gap-case/1\nresample_hz: 100\n"
+        "mechanism: {joints: [{name: a, type: revolute, inertia: null, stiffness: null, damping: null}]}\n"
+        "input: {joint: a, column: torque, scale: 1.0, hold: linear}\n"
+        "outputs: [{joint: a, quantity: position, column: angle, scale: 2.0}]\n"
+        "trajectories: [{file: run.csv, t_start_s: 0.0}]\n"
+    )
+    (sigma,) = estimate_noise(load_case(tmp_path)).sigma
+    assert sigma >= 0.99 * 2.0 * count / np.sqrt(12.0)

@@ -1,5 +1,6 @@
 """The checks of a law: bough's own pass, each fault is told, the command and a package as a user has them."""
 
+import json
 import os
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from bough.learn.laws.recovery import recover
 from bough.learn.laws.simulated import case_for
 from bough.sim.base.errors import InputError
 from bough.sim.effects import effect_of, effects, registry
+from oracles import json_page
 
 LAW = '''
 """A damper that grows with the angle."""
@@ -22,7 +24,7 @@ from typing import Any
 import warp as wp
 
 from bough.kernels.lanes.algebra import add, div, dot, mul, sub
-from bough.kernels.lanes.real import real
+from bough.kernels.lanes.real import real, where_neg
 from bough.sim.effects import Effect, EffectParameter, Law, register
 
 
@@ -66,6 +68,12 @@ FAULTS = {
     "never off": (RETURNED, "type(r)(r.torque, r.memory, real(0.0, p.a), p.a + real(0.1, p.a))",
                   "neutral", "answers 0.1"),
     "does nothing": (RETURNED, "type(r)(r.torque, r.memory, real(0.0, p.a), p.a - p.a)", "recovery", "changes nothing"),
+    "other unit": ('"damping_Nmsprad3",\n                    "N m s/rad^3"',
+                   '"damping_Nmprad3",\n                    "N m/rad^3"', "units", "no such"),
+    "other law": (RETURNED, "type(r)(r.torque, r.memory, real(0.0, p.a), p.a * dot(j.rate, j.rate))", "units",
+                  "off by"),
+    "jump": (RETURNED, "type(r)(r.torque, r.memory, real(0.0, p.a), where_neg(dot(j.angle, j.angle) - real(0.002, p.a),"
+             " real(0.0, p.a), p.a))", "continuity", "jumps by"),
     "unit": ('"damping_Nmsprad3"', '"damping"', "parameters", "does not end with the unit"),
     "box": ("0.01 * s.torque", "0.0 * s.torque", "parameters", "logarithm"),
     "rival": ('("quadratic_drag",)', '("friction",)', "row", "friction"),
@@ -93,7 +101,8 @@ def test_own_laws_keep_what_is_asked_of_others(effect):
         law = getattr(effect, form)
         if law is not None:
             found.append(checks._boxes(law, form))
-            found += [checks._energy(law, form)] if law.kind in ("joint", "link") else []
+            if law.kind in ("joint", "link"):
+                found += [checks._units(law, form), checks._continuity(law, form), checks._energy(law, form)]
             found += [checks._derivatives(law, form)] if law.kind == "joint" else []
             if law.kind in ("joint", "link"):
                 assert checks._answer_when_neutral(law, 3) == 0.0
@@ -125,7 +134,16 @@ def test_answers_are_those_of_the_equations():
 def test_a_good_law_lacks_nothing(own):
     """Recover it, and find every check passed."""
     found = list(check_law(law_from(written())))
-    assert {f.check for f in found} == {"row", "parameters", "energy", "derivatives", "neutral", "recovery"}
+    assert {f.check for f in found} == {
+        "row",
+        "parameters",
+        "units",
+        "continuity",
+        "energy",
+        "derivatives",
+        "neutral",
+        "recovery",
+    }
     assert [f for f in found if f.verdict != "ok"] == []
 
 
@@ -142,6 +160,8 @@ def test_a_fault_is_told(own, fault):
                  checks.Finding(check, "joint", *recover(effect, "joint", case))]  # fmt: skip
     else:
         found = {"row": lambda: [checks._row(effect)], "parameters": lambda: [checks._boxes(law, "joint")],
+                 "units": lambda: [checks._units(law, "joint")],
+                 "continuity": lambda: [checks._continuity(law, "joint")],
                  "energy": lambda: [checks._energy(law, "joint")],
                  "derivatives": lambda: [checks._derivatives(law, "joint")]}[check]()  # fmt: skip
     assert [f.verdict for f in found] != ["ok"] and word in found[0].text, found
@@ -171,6 +191,8 @@ def test_the_command_as_a_user_types_it():
     assert bad.returncode == 3, bad.stderr
     assert bad.stdout.startswith("missing  row") and "ok       recovery" in bad.stdout
     assert bad.stdout.endswith("bent_damping: 1 missing\n")
+    told = run(str(written(LAW.replace(*FAULTS["rival"][:2]))), "--json")
+    json_page.check("check-law", json.loads(told.stdout))
     gone = run("nothing.py")
     assert gone.returncode == 2 and gone.stderr == (
         "bough: bough check-law: nothing.py: found no such file; allowed: a Python file\n"

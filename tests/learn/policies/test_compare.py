@@ -19,8 +19,8 @@ from bough.learn.policies.compare import (
 from bough.learn.policies.compare_report import put_beside
 from bough.learn.tasks.parts import Column
 from bough.sim.base.errors import InputError
-from oracles.reach_task import registry
-from oracles.train_reach import short_run
+from oracles.reach.task import registry
+from oracles.reach.train import short_run
 from scipy import stats
 
 SR, FORCE = Column("SR %", "success", 100.0), Column("Force N", "force")

@@ -18,8 +18,9 @@ from bough.learn.runs.folder import RunFolder
 from bough.learn.tasks.measures import CLEARING_COLUMNS
 from bough.learn.tasks.task import unseen_seed
 from bough.sim.base.errors import InputError
-from oracles.reach_task import LENGTH, ReachSettings, registry
-from oracles.train_reach import short_run
+from oracles import json_page
+from oracles.reach.task import LENGTH, ReachSettings, registry
+from oracles.reach.train import short_run
 
 COLUMNS = tuple(column.name for column in CLEARING_COLUMNS)
 
@@ -188,7 +189,9 @@ def test_pictures_of_policies_without_a_run(tmp_path, capsys):
     assert [f.name for f in frames] == [f"{i:04d}.png" for i in range(5)]
     pictures = [np.asarray(PIL.Image.open(f)) for f in frames]
     assert all(np.array_equal(pictures[0], p) for p in pictures)
-    assert Play("random", tmp_path / "b", task="reach", film="png", seconds=0.2, device="cpu").run(registry()) == 0
+    command = Play("random", tmp_path / "b", task="reach", film="png", seconds=0.2, device="cpu", json=True)
+    assert command.run(registry()) == 0
+    json_page.check("play", json.loads(capsys.readouterr().out))
     last = np.asarray(PIL.Image.open(tmp_path / "b" / "frames" / "0004.png"))
     assert not np.array_equal(last, pictures[0])
 

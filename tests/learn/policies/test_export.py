@@ -12,8 +12,9 @@ from bough.learn.policies.evaluate import read_policy
 from bough.learn.runs.folder import RunFolder
 from bough.sim.base.errors import InputError
 from onnx.reference import ReferenceEvaluator
-from oracles.reach_task import ReachSettings, registry
-from oracles.train_reach import short_run
+from oracles import json_page
+from oracles.reach.task import ReachSettings, registry
+from oracles.reach.train import short_run
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +38,7 @@ def test_files_act_as_the_policy_does(run, tmp_path, capsys):
     """Load both files without bough: actions of any number of observations agree with numpy's own network."""
     assert Export(run, tmp_path / "out").run(registry()) == 0
     assert "policy.onnx" in capsys.readouterr().out
+    json_page.check("export", json.loads((tmp_path / "out" / "policy.json").read_text()))
     policy = read_policy(RunFolder(run), registry())
     x = np.random.default_rng(3).normal(0.0, 2.0, (7, 3)).astype(np.float32)
     expected = by_hand(policy.state, x.astype(np.float64))

@@ -15,8 +15,8 @@ from bough.learn.tasks.reach_settings import ReachSettings
 from bough.learn.tasks.registry import TaskKind, TaskRegistry
 from bough.sim.base.errors import InputError
 from bough.sim.scenes.reach_scene import ReachScene
-from oracles.reach_task import Reach
-from oracles.reach_task import ReachSettings as PointSettings
+from oracles.reach.task import Reach
+from oracles.reach.task import ReachSettings as PointSettings
 
 PPO = PPOSettings(num_envs=128, iterations=150, horizon=4, hidden=(8,), epochs=4, mini_batches=2, init_std=0.3,
                   entropy=0.0, checkpoint_every=75)  # fmt: skip

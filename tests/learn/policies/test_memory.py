@@ -12,7 +12,7 @@ from bough.learn.tasks.measures import CLEARING_COLUMNS
 from bough.learn.tasks.ppo_settings import PPOSettings
 from bough.learn.tasks.registry import TaskKind, TaskRegistry, known_tasks
 from bough.sim.base.errors import InputError
-from oracles.reach_task import Reach, ReachSettings
+from oracles.reach.task import Reach, ReachSettings
 
 PPO = PPOSettings(num_envs=64, iterations=40, horizon=8, hidden=(16,), epochs=4, mini_batches=2, init_std=0.5,
                   entropy=0.0, checkpoint_every=20, memory=(16,))  # fmt: skip

@@ -19,8 +19,8 @@ from bough.sim.arms.arm import forward_kinematics
 from bough.sim.arms.jaco2 import jaco2
 from bough.sim.base.errors import InputError
 from bough.sim.scenes.reach_scene import ReachScene
-from oracles.reach_task import ReachSettings as PointSettings
-from oracles.reach_task import registry
+from oracles.reach.task import ReachSettings as PointSettings
+from oracles.reach.task import registry
 
 pytest.importorskip("pytorch_mppi")
 SCENE = ReachScene(order=2, attempts=32)

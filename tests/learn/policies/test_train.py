@@ -30,8 +30,8 @@ from bough.learn.tasks.task import policy_seed, task_seed, unseen_seed
 from bough.sim.base.errors import InputError
 from bough.sim.base.extras import install_hint
 from bough.sim.wood.posterior import SpringPosterior, Wood
-from oracles.reach_task import LENGTH, Reach, ReachSettings, best_return, registry
-from oracles.train_reach import TINY
+from oracles.reach.task import LENGTH, Reach, ReachSettings, best_return, registry
+from oracles.reach.train import TINY
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 SMALL = PPOSettings(num_envs=16, iterations=6, horizon=8, hidden=(16,), checkpoint_every=2)

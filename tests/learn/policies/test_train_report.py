@@ -44,7 +44,8 @@ def test_a_run_that_never_succeeded_is_not_green(success, status):
     """Colour the headline by what came of it: nothing is no reason for green."""
     page = content(Run(success))
     assert page.status == status
-    assert success != 0.0 or "success 0.0 % in training" in page.headline
+    assert success != 0.0 or ("none succeeded" in page.headline and "success 0.0 % in training" in page.precisely)
+    assert page.commands[0][0].startswith("bough evaluate /")
 
 
 def test_a_film_names_a_metric_of_one_s_own():

@@ -14,11 +14,11 @@ import torch
 from bough.cli.train import Train
 from bough.learn.runs.folder import MODEL, RunFolder
 from bough.learn.tasks.ppo_settings import PRESETS
-from oracles.reach_task import registry
-from oracles.train_reach import TINY
+from oracles.reach.task import registry
+from oracles.reach.train import TINY
 
-TRAIN = Path(__file__).resolve().parents[2] / "oracles" / "train_reach.py"
-GRADIENTS = Path(__file__).resolve().parents[2] / "oracles" / "reach_gradients.py"
+TRAIN = Path(__file__).resolve().parents[2] / "oracles" / "reach" / "train.py"
+GRADIENTS = Path(__file__).resolve().parents[2] / "oracles" / "reach" / "gradients.py"
 
 
 @pytest.fixture(autouse=True)

@@ -19,6 +19,7 @@ from bough.learn.thesis.chapter3.report import beaten, letter_says, ranking
 from bough.learn.thesis.chapter3.reproduce import Findings, Options
 from bough.sim.base.console import start_warp
 from bough.sim.base.errors import InputError
+from oracles import json_page
 from scipy import stats
 
 
@@ -367,6 +368,7 @@ def test_command_writes_everything(tmp_path, capsys, sparse):
     kept = json.loads((out / "tables.json").read_text())
     names = {"table_3_1", "table_3_1_sweep", "table_3_1_letter", "figure_3_5", "figure_3_6", "figure_3_7",
              "figure_3_8", "figure_3_9", "table_a_1", "cost"}  # fmt: skip
+    json_page.check("reproduce", kept)
     assert set(kept["tables"]) == names and kept["options"]["particles"] == 12
     text = (out / "report.html").read_text()
     for table in kept["tables"].values():

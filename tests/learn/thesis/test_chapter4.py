@@ -24,7 +24,7 @@ from bough.learn.thesis.chapter4.findings import SUCCESS, Findings, claims
 from bough.learn.thesis.chapter4.runs import AUTHOR_MPC, PATTERNS, Options, Run
 from bough.sim.base.errors import InputError
 from bough.sim.scenes.reach_scene import ReachScene
-from oracles.reach_task import LENGTH, Reach, Start
+from oracles.reach.task import LENGTH, Reach, Start
 
 TINY = replace(PPO["cpu"], num_envs=4, horizon=8, hidden=(8,), checkpoint_every=1)
 WIDTH = {"Ta": 1.0, "Tb": 0.5, "Tc": 1.5, "Td": 1.2, "fractal": 0.8}

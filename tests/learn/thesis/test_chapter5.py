@@ -29,7 +29,7 @@ from bough.learn.thesis.chapter5.runs import REMOVED, TABLE_5_2, Options, Run, l
 from bough.sim.base.console import start_warp
 from bough.sim.base.errors import InputError
 from bough.sim.scenes.scene import SceneSettings
-from oracles.reach_task import Reach, Start
+from oracles.reach.task import Reach, Start
 
 TINY = replace(PPO["cpu"], num_envs=4, horizon=8, hidden=(8,), checkpoint_every=1)
 

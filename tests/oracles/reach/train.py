@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 import tyro
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from bough.cli.train import Train
 from bough.learn.tasks.ppo_settings import PRESETS
-from oracles.reach_task import registry
+from oracles.reach.task import registry
 
 TINY = replace(PRESETS["cpu"], num_envs=8, horizon=8, hidden=(16,), checkpoint_every=2)
 

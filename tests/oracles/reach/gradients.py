@@ -9,13 +9,13 @@ from pathlib import Path
 
 import torch
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from bough.learn.policies.ppo_runner import InPlacePPO
 from bough.learn.policies.train import Plan, train
 from bough.learn.runs.processes import Processes
 from bough.learn.tasks.ppo_settings import PPOSettings
-from oracles.reach_task import ReachSettings, registry
+from oracles.reach.task import ReachSettings, registry
 
 PPO = PPOSettings(num_envs=8, iterations=2, horizon=32, hidden=(16,), checkpoint_every=1)
 NOTED: dict[str, list[torch.Tensor]] = {"before": [], "after": []}
