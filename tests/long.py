@@ -28,6 +28,8 @@ LONG = {
     "cli/test_identify_story.py::test_cross_validation": "three posteriors; folds are tested apart",
     "cli/test_model_story.py::test_known_effects_act_while_springs_are_learnt": "a posterior with effects, 14 s",
     "cli/robots/test_new_case_story.py::test_a_gauge_and_a_tape_measure_have_a_verdict": _SEARCH,
+    "cli/robots/test_probe_story.py::test_a_killed_probing_goes_on_and_loses_nothing": "an experiment in real time, 90 s",
+    "cli/robots/test_probe_story.py::test_a_stop_ends_it_with_its_cause": "25 s of real time; a stepped arm's stop stays",
     "cli/robots/test_robot_story.py::test_a_client_that_is_killed_leaves_the_arm_standing[http]": "as on the stream",
     "cli/robots/test_robot_story.py::test_a_robot_behind_rosbridge": "8 s; make test keeps both drivers in one process",
     "cli/robots/test_robot_story.py::test_commands_over_the_limits_are_cut": "the guard's properties stay",

@@ -133,7 +133,7 @@ class Live:
         now.time, now.force = np.array([self.time]), force[None]
         gusts = [blown for law in self._laws if (blown := law.gust(now.time)) is not None]
         if gusts:
-            model.opt.wind = self._wind + _thinned(model) * sum(gusts)[0]
+            model.opt.wind = self._wind + _thinned(model) * np.sum(gusts, axis=0)[0]
         self._mujoco.mj_step1(model, data)
         now.clear()
         for law in self._laws:

@@ -71,7 +71,7 @@ def test_a_killed_probing_goes_on_and_loses_nothing(served, inside, tmp_path):
 
 
 def test_a_stop_ends_it_with_its_cause(served, tmp_path):
-    """Stop the arm while it works: exit code 1, the cause in a line, what was recorded kept."""
+    """Stop the arm while it works: exit code 1, the cause in a line, what was recorded kept; fingers stay closed."""
     served.settled()
     out = tmp_path / "probe"
     command = [sys.executable, "-m", "bough", *map(str, words_of(served, out))]
@@ -81,6 +81,13 @@ def test_a_stop_ends_it_with_its_cause(served, tmp_path):
     _, said = process.communicate(timeout=120)
     assert process.returncode == 1 and "asked for over HTTP" in said and "--resume goes on" in said
     assert lines(out / "pull_1_1.cut-1.csv") > 5 and not (out / "pull_1_1.csv").exists()
+    assert served.ask("/set_gripper", {"robot_gripper": 0.0})[1]["reason"] == "stopped"
+    assert float(served.log()["gripper"][-1]) > 0.9
+    served.settled()
+    assert served.ask("/set_gripper", {"robot_gripper": 1.5})[1]["reason"] == "outside"
+    assert served.ask("/set_gripper", {"robot_dof_vel": [0.0] * 6})[0] == 400
+    assert served.ask("/set_gripper", {"robot_gripper": 0.0})[0] == 200
+    waited(lambda: float(served.log()["gripper"][-1]) < 0.1)
 
 
 def test_what_cannot_be_is_refused(inside, tmp_path):
