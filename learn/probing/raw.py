@@ -31,8 +31,7 @@ def force_of(arm: Arm, state: State) -> Array:
     if np.isfinite(state.force).all():
         return state.force
     jacobian = statics(arm, state.q)[1]
-    out: Array = np.linalg.solve(jacobian @ jacobian.T, jacobian @ state.torque)
-    return out
+    return np.linalg.solve(jacobian @ jacobian.T, jacobian @ state.torque).astype(np.float64)
 
 
 def place_of(state: State) -> Array:

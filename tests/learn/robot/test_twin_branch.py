@@ -52,7 +52,7 @@ def test_a_held_branch_goes_with_the_hand_and_pulls_on_the_joints():
     for _ in range(120):
         held = robot.next()
     moved, force = held.tag - begin.tag, np.linalg.norm(held.force)
-    assert moved[2] > 0.025 and 0.5 < force < 20.0
+    assert moved[2] > 0.025 and 0.5 < force < 60.0
     # fingers of 1500 N/m give f / k; the branch is at rest
     stretched = held.hand_position - begin.hand_position - moved
     assert np.linalg.norm(stretched) == pytest.approx(force / 1500.0, abs=2e-4)
