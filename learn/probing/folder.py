@@ -113,7 +113,8 @@ class Folder:
         """Write the case of all whole recordings of so many pulls, and return it as loaded."""
         zero = self.zero
         assert zero is not None
-        rows, items = [], []
+        rows: list[Array] = []
+        items: list[dict[str, Any]] = []
         for number in range(1, pulls + 1):
             plan = self.plan(number)
             assert plan is not None
