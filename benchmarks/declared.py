@@ -49,7 +49,7 @@ class Benchmark:
         name: What it is called.
         measures: What it measures, in a sentence.
         peer: What it is measured beside, in the same run; None where there is none.
-        script: The file beside this one whose ``measured`` gives the figures.
+        script: The file, from this folder on, whose ``measured`` gives the figures.
         arguments: Options of the script; ``{out}`` is a folder for what it writes.
         quick: Options that make it quick instead, to try it.
         bounds: What its figures must keep to.
@@ -186,7 +186,7 @@ BENCHMARKS = (
     ),
     Benchmark(
         "robot", "The arm's service: periods of its loop alone and with many clients, time to standstill.",
-        None, "robot", 3, (), ("--quick",),
+        None, "robots/robot", 3, (), ("--quick",),
         bounds=(
             Bound("alone", "99th percentile of the period", most=20.0, unit="ms"),
             Bound("busy", "99th percentile of the period", most=20.0, unit="ms", cores=2),
@@ -195,8 +195,18 @@ BENCHMARKS = (
     ),
     Benchmark(
         "probing", "Recordings that `bough probe` and a fixed set of eight pulls need to name a hidden effect.",
-        None, "probing", 120, (), ("--quick", "--segments", "1", "--effects", "quadratic_drag", "dry_friction"),
+        None, "robots/probing", 120, (), ("--quick", "--segments", "1", "--effects", "quadratic_drag", "dry_friction"),
         unbound="it compares two designs of an experiment; fewer recordings are better",
+    ),
+    Benchmark(
+        "cameras", "Clouds of one to three simulated D405s, with and without leaves, beside the kernel's own sampling.",
+        "a second draw of the kernel", "robots/cameras", 2,
+        bounds=(Bound("3 cameras", "occlusion", most=0.25), Bound("mask BRANCH", "found", least=0.9)),
+    ),
+    Benchmark(
+        "deploy", "A trained policy end to end on the twin, behind the guard, in the scenes of its task's own test.",
+        "the same policy in its task, with perfect clouds and forces", "robots/deploy", 15, (), ("--quick",),
+        bounds=(Bound("end to end", "points lost", most=10.0, unit="points"),),
     ),
     Benchmark(
         "accuracy", "Error of 60 random trees' motion, float32, against a converged MuJoCo run.",

@@ -65,7 +65,7 @@ def run_one(benchmark: Benchmark, quick: bool, scratch: Path) -> Run | None:
     work, record = scratch / benchmark.name, scratch / f"{benchmark.name}.json"
     record.unlink(missing_ok=True)
     arguments = [a.format(out=work) for a in (benchmark.quick if quick else benchmark.arguments)]
-    script = Path(__file__).with_name(f"{benchmark.script}.py")
+    script = Path(__file__).parent / f"{benchmark.script}.py"
     subprocess.run([sys.executable, str(script), *arguments, "--record", str(record)], check=False)
     if not record.exists():
         return None

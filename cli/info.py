@@ -19,7 +19,8 @@ from .base.exit_codes import ExitCode
 _PACKAGES = ("warp-lang", "numpy", "torch", "newton", "mujoco")
 #: A module of each extra that users have.
 _EXTRAS = {"train": "rsl_rl", "gym": "gymnasium", "mpc": "pytorch_mppi", "wandb": "wandb", "touch": "rosbags",
-           "robot": "fastapi", "taichi": "taichi", "view": "viser", "usd": "pxr"}  # fmt: skip
+           "robot": "fastapi", "taichi": "taichi", "view": "viser", "vision": "transformers",
+           "usd": "pxr"}  # fmt: skip
 
 
 @dataclass(frozen=True)

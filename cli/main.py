@@ -28,9 +28,11 @@ from .info import Info
 from .play import Play
 from .replay import Replay
 from .reproduce import Reproduce
+from .robots.cameras import Camera
 from .robots.probe import Probe
 from .robots.recordings import ImportCase, NewCase, Record
 from .robots.robot import Robot
+from .robots.run import Run
 from .simulate import Simulate, simulate_case
 from .touch import Touch
 from .train import Train
@@ -63,6 +65,8 @@ Command = (
     | Annotated[Touch, tyro.conf.subcommand("touch")]
     | Annotated[Robot, tyro.conf.subcommand("robot")]
     | Annotated[Probe, tyro.conf.subcommand("probe")]
+    | Annotated[Run, tyro.conf.subcommand("run")]
+    | Annotated[Camera, tyro.conf.subcommand("camera")]
 )
 
 

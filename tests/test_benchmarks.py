@@ -42,7 +42,11 @@ def test_every_script_is_declared():
 
     `menagerie.py` needs a collection that is not bough's.
     """
-    programs = {p.stem for p in FOLDER.glob("*.py") if 'if __name__ == "__main__":' in p.read_text()}
+    programs = {
+        str(p.relative_to(FOLDER).with_suffix(""))
+        for p in FOLDER.rglob("*.py")
+        if 'if __name__ == "__main__":' in p.read_text()
+    }
     assert programs - {"run", "menagerie"} == {b.script for b in BENCHMARKS}
     assert len({b.name for b in BENCHMARKS}) == len(BENCHMARKS)
 

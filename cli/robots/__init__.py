@@ -1,4 +1,5 @@
-"""Commands of robots and of what they record: service, recordings made into cases.
+"""Commands of robots and their cameras, policies on arms, recordings made into cases.
 
-Uses: `sim.base`, `sim.engine`, `sim.arms`, `learn.cases`, `learn.robot`, `learn.recordings`, `learn.touch`, `cli.base`.
+Uses: `sim.base`, `sim.engine`, `sim.arms`, `learn.cases`, `learn.touch`, `learn.robot`, `learn.recordings`,
+`learn.cameras`, `learn.tasks`, `learn.policies`, `learn.deploy`, `cli.base`.
 """

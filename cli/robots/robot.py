@@ -43,6 +43,8 @@ class Serve:
         key: Its key.
         limits: limits.yaml; `bough robot limits` prints one.
         touch: model.npz that bough touch train wrote: the arm stops above the limits' probability of touch.
+        scene: What the twin holds: powerline or reach, an unseen test world of the task (bough evaluate's), or the
+            folder of a run, for that of its task. Needs the extra train. A tree as of reach if none is given.
         seed: Of the twin's tree and where it stands, or of its branch.
         segments: Of the branch.
         away: How much further off the twin's tree stands [m]; 10 leaves the arm alone.
@@ -65,6 +67,7 @@ class Serve:
     key: Path | None = None
     limits: Path | None = None
     touch: Path | None = None
+    scene: str | None = None
     seed: int = 0
     segments: int = 3
     away: float = 0.0
@@ -79,6 +82,9 @@ class Serve:
         check_seed("robot serve", self.seed)
         if not 0.0 <= self.away <= 1000.0:
             raise InputError("robot serve", "--away", f"{self.away:g}", "0 to 1000 m")
+        if self.scene is not None and (self.backend != "twin" or self.away or self.effect or self.wrist != "curved"):
+            raise InputError("robot serve", "--scene", "with --backend, --away, --effect or --wrist",
+                             "a twin's scene alone: the task says what is in it")  # fmt: skip
         from ...learn.robot.access import is_loopback, read_token
         from ...learn.robot.app import check_app
         from ...learn.robot.limits import default_limits, read_limits
@@ -120,6 +126,10 @@ class Serve:
             return RosBridge(arm, host, int(port), self.driver, name=self.robot_name, joints=self.joints)
         if self.backend == "branch":
             return self._branch(arm)
+        if self.scene is not None:
+            from ...learn.deploy.stage import Stage, scene_plan
+
+            return Stage(scene_plan(self.scene), self.seed)
         from ...learn.robot.twin import Twin
         from ...sim.engine.effect_words import read_effects
 

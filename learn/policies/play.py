@@ -64,10 +64,15 @@ def write_film(folder: Path, episode: Episode, film: Film, frames_per_second: fl
         film: ``gif``, one animation, or ``png``, a folder of numbered pictures.
         frames_per_second: Of the animation, up to 50.
     """
+    return write_frames(folder, episode.frames(), film, frames_per_second)
+
+
+def write_frames(folder: Path, frames: Iterator[PIL.Image.Image], film: Film, frames_per_second: float) -> str:
+    """Write pictures into an existing folder as they come, one at least; return the name of what was written."""
     if film == "gif":
-        return _gif(folder, episode.frames(), frames_per_second)
+        return _gif(folder, frames, frames_per_second)
     (folder / "frames").mkdir()
-    for number, frame in enumerate(episode.frames()):
+    for number, frame in enumerate(frames):
         frame.save(folder / "frames" / f"{number:04d}.png")
     return "frames"
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import json
 from typing import Any
 
 from fastapi import FastAPI, Request, WebSocket, WebSocketDisconnect
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 
 from ...sim.base.errors import InputError
@@ -16,7 +17,7 @@ from ...sim.base.extras import install_hint
 from .guard import Command, Reply
 from .log import Tick
 from .service import Service
-from .wire import FIELDS, LARGEST, Ask, Rearm, UnreadableError, metrics, read, streamed
+from .wire import FIELDS, LARGEST, Ask, Episode, Rearm, UnreadableError, metrics, packed, read, streamed
 
 _WATCHERS = 16
 _BODY = 2.0  # s for a body to arrive
@@ -105,6 +106,27 @@ def make_app(service: Service) -> FastAPI:
         reply = service.arm(message.stop)
         return JSONResponse({"message": "armed"}) if reply.accepted else _refused(reply)
 
+    @app.get("/twin/truth")
+    async def _truth() -> Response:
+        if service.twin is None:
+            return _error(404, "no twin that holds a scene: bough robot serve --scene")
+        data = packed(await asyncio.to_thread(service.twin.truth))
+        return Response(data, media_type="application/octet-stream")
+
+    @app.post("/twin/episode")
+    async def _episode(request: Request) -> JSONResponse:
+        if service.twin is None:
+            return _error(404, "no twin that holds a scene: bough robot serve --scene")
+        try:
+            message = read(Episode, await _body(request))
+        except UnreadableError as error:
+            return _refused(service.refuse("malformed", str(error)))
+        try:
+            reply = await asyncio.to_thread(service.stage, message.number)
+        except InputError as error:
+            return _error(400, str(error))
+        return JSONResponse({"message": "a new scene"}) if reply.accepted else _refused(reply)
+
     @app.websocket("/stream")
     async def _stream(socket: WebSocket) -> None:
         event = hub.enter()
@@ -123,6 +145,17 @@ def make_app(service: Service) -> FastAPI:
         finally:
             hub.leave(event)
             service.release(name)
+
+    @app.websocket("/twin/scene")
+    async def _scene(socket: WebSocket) -> None:
+        if service.scene is None:
+            await socket.close(1008)
+            return
+        await socket.accept()
+        with contextlib.suppress(WebSocketDisconnect):
+            while True:  # one answer for every message, so that a slow camera delays itself alone
+                await socket.receive_text()
+                await socket.send_bytes(await asyncio.to_thread(service.scene))
 
     return app
 
@@ -144,7 +177,7 @@ def _error(status: int, text: str) -> JSONResponse:
 
 def _refused(reply: Reply) -> JSONResponse:
     """Return 400 for what no state of the arm would make right, 409 for what is refused now."""
-    status = 409 if reply.reason in ("stopped", "held", "duplicate", "out of order", "late") else 400
+    status = 409 if reply.reason in ("stopped", "held", "duplicate", "out of order", "late", "not stopped") else 400
     return JSONResponse({"error": reply.text, "reason": reply.reason}, status)
 
 

@@ -83,3 +83,16 @@ class Gripping(Protocol):
     def grip(self, closed: float) -> None:
         """Ask the gripper for how far it should be closed, 0 to 1; raise where that cannot be done. A stop keeps it."""
         ...
+
+
+@runtime_checkable
+class Staged(Protocol):
+    """What a twin has besides, whose scenes begin anew and are known. Both are called from the network's threads."""
+
+    def begin(self, number: int) -> None:
+        """Put the arm at rest at home in the scene of this number; may take its time, and is called while stopped."""
+        ...
+
+    def truth(self) -> dict[str, Array]:
+        """Return what is true of the scene now, by name."""
+        ...

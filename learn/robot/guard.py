@@ -29,7 +29,7 @@ PERIOD = 1.0 / 60.0
 """Time between two ticks [s]."""
 
 REASONS = ("malformed", "not finite", "implausible", "outside", "stopped", "held", "duplicate", "out of order", "late",
-           "not let in")  # fmt: skip
+           "not let in", "not stopped")  # fmt: skip
 """Why a command is refused; counted by these words."""
 
 _IMPLAUSIBLE = 4.0  # times the speed limit: degrees taken for radians are 57 times
@@ -247,6 +247,13 @@ class Guard:
         if self._sample is None or (np.abs(self._sample.qd) > _STILL).any() or self.velocity.any():
             return self.refuse("stopped", "the arm still moves")
         self.stop = None
+        return Reply(True)
+
+    def stage(self) -> Reply:
+        """Take or refuse a new scene of a twin: accepted while a stop holds, so that it surprises no command."""
+        if self.stop is None:
+            return self.refuse("not stopped", "a new scene takes a stop first")
+        self.accepted += 1
         return Reply(True)
 
     # ---- the tick ------------------------------------------------------------------------------------------------

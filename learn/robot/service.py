@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...sim.base.types import Array
-from .backend import Backend, Gripping, Sample
+from .backend import Backend, Gripping, Sample, Staged
 from .guard import PERIOD, Command, Guard, Reply
 from .log import Log, Tick
 from .wire import Kind
@@ -131,6 +131,25 @@ class Service:
         """Count what could not be read as a command."""
         with self._lock:
             return self.guard.refuse(reason, text)
+
+    @property
+    def twin(self) -> Staged | None:
+        """The arm, where it is a twin that holds scenes."""
+        return self._backend if isinstance(self._backend, Staged) else None
+
+    def stage(self, number: int) -> Reply:
+        """Begin the scene of a number on a twin that holds scenes, while a stop holds; waits until it is there."""
+        assert self.twin is not None
+        with self._lock:
+            reply = self.guard.stage()
+        if reply.accepted:
+            self.twin.begin(number)
+        return reply
+
+    @property
+    def scene(self) -> Callable[[], bytes] | None:
+        """What returns a twin's world for cameras (`sim.cameras.described`); None for an arm that is real."""
+        return getattr(self._backend, "scene", None)
 
     @property
     def pace(self) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,6 +12,7 @@ import warp as wp
 from ...sim.arms.arm import Arm
 from ...sim.arms.simulator import ArmSimulator, Contacts
 from ...sim.base.types import Array
+from ...sim.cameras.described import Scene, arm_world, packed
 from ...sim.scenes.reach_scene import ReachPlaces, ReachScene, grow_reach_trees
 from ..touch.record import carrying_torque
 from .backend import Sample
@@ -56,6 +58,7 @@ class Twin:
         places.place(wp.array([True], dtype=wp.bool, device="cpu"), wp.zeros(1, dtype=int, device="cpu"))
         self.simulator.reset()
         self._until: float | None = None
+        self._ground = float(places.root[0, 2])
         for count in range(1, 9):  # prepared now, so that no tick has to wait for it
             self.simulator.step(count)
 
@@ -77,6 +80,12 @@ class Twin:
             x[0].numpy().astype(np.float64) for x in (sim.q, sim.qd, sim.torque, sim.end_position, sim.end_rotation)
         )
         return Sample(now, q, qd, torque - carrying_torque(self._arm, q), at, turn)
+
+    def scene(self) -> bytes:
+        """Return the world as it is, for cameras in another process (`sim.cameras.described`)."""
+        sim, age = self.simulator, 0.0 if self._until is None else time.monotonic() - self._until
+        hand, turn = (x[0].numpy().astype(np.float64) for x in (sim.end_position, sim.end_rotation))
+        return packed(Scene(arm_world(sim, 0, self._ground), age, hand, turn))
 
     def send(self, velocity: Array) -> None:
         """Ask the servos for joint speeds [rad/s], [D]."""

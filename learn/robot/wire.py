@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -75,6 +76,12 @@ class Rearm(_Message):
     stop: Whole
 
 
+class Episode(_Message):
+    """Begin the scene of a number on a twin."""
+
+    number: Annotated[int, Field(ge=0, lt=2**31)]
+
+
 class UnreadableError(ValueError):
     """A message that is none; its text says why."""
 
@@ -95,6 +102,33 @@ def read(kind: type[Any], data: bytes) -> Any:
 
 def _numbers(values: Array) -> list[float | None]:
     return [float(x) if math.isfinite(x) else None for x in values]
+
+
+def packed(arrays: Mapping[str, Array]) -> bytes:
+    """Return arrays as bytes: a line of JSON with their types and shapes, then their numbers."""
+    head = {name: [np.asarray(a).dtype.str, list(np.shape(a))] for name, a in arrays.items()}
+    return json.dumps(head).encode() + b"\n" + b"".join(np.ascontiguousarray(a).tobytes() for a in arrays.values())
+
+
+def unpacked(data: bytes) -> dict[str, Array]:
+    """Return the arrays of `packed`.
+
+    Raises:
+        ValueError: It is something else.
+    """
+    head, _, rest = data.partition(b"\n")
+    out, at = {}, 0
+    try:
+        for name, (kind, shape) in json.loads(head).items():
+            dtype = np.dtype(str(kind))
+            if dtype.kind not in "fiub":
+                raise ValueError(f"numbers of type {dtype}")
+            count = math.prod(shape)
+            out[name] = np.frombuffer(rest, dtype, count, at).reshape(shape).copy()
+            at += count * dtype.itemsize
+    except (TypeError, AttributeError) as error:
+        raise ValueError(str(error)) from None
+    return out
 
 
 def metrics(tick: Tick) -> dict[str, Any]:

@@ -216,7 +216,7 @@ class AssembledTask(VecEnv):
         self.done.fill_(True)
         self._launch(self._kernels.begin, self._warp["done"], self._view, self._own, self._rules)
         self._restart()
-        self._sense()
+        self.sense()
         self.done.fill_(False)
 
     def _restart(self) -> None:
@@ -224,7 +224,8 @@ class AssembledTask(VecEnv):
         self._place(self._warp["done"], self._clock.episode)
         self.simulator.reset(self.done)
 
-    def _sense(self) -> None:
+    def sense(self) -> None:
+        """Write the observations of the worlds as they are."""
         self._look()
         self._launch(self._kernels.feel, self._view, self._own, self._seen)
         if "kept" in self._warp:
@@ -234,7 +235,7 @@ class AssembledTask(VecEnv):
         """Sense as if no episode were over: at the next count, with capsules where they are."""
         self._launch(kernels.count_on, self._clock)
         self.simulator.look()
-        self._sense()
+        self.sense()
 
     def keep_final(self) -> torch.Tensor:
         """Keep the last observation of every episode from now on; return its memory, [worlds, columns].
@@ -255,22 +256,46 @@ class AssembledTask(VecEnv):
 
     def _advance(self) -> None:
         """Launch one policy step; nothing is allocated, copied to the host or waited for."""
-        w, v, own, r = self._warp, self._view, self._own, self._rules
-        self._launch(self._kernels.judge, v, own, r, w["reward"])
+        self.judge()
         for period, ask in enumerate(self._periods):
             ask()
             self.simulator.step(self.pace.period_steps)
-            if self.parts.samples:
-                self._launch(self._kernels.sample, v, own)
-            self._take(period)
+            self.sample(period)
         if self._price is not None:
-            self._launch(self._price, v, own, w["cost"])
+            self._launch(self._price, self._view, self._own, self._warp["cost"])
         if self._final is not None:
             self._final.take(self._sense_on)
-        self._launch(self._kernels.close, self.simulator.state.alive.entries(), self._slot, v, own, r, w["waiting"],
-                     w["done"], w["time_out"], w["log"], w["sums"])  # fmt: skip
+        self.end_step()
         self._restart()
-        self._sense()
+        self.sense()
+
+    def judge(self) -> None:
+        """Judge the present state, which an action is about to be chosen in: the first phase of a policy step."""
+        self._launch(self._kernels.judge, self._view, self._own, self._rules, self._warp["reward"])
+
+    def sample(self, period: int) -> None:
+        """Take samples after a control period of the policy step, from 0."""
+        if self.parts.samples:
+            self._launch(self._kernels.sample, self._view, self._own)
+        self._take(period)
+
+    def end_step(self) -> None:
+        """End the policy step: say in `done` which episodes are over, and what has been measured of each so far.
+
+        What is counted begins anew where one is over; worlds stay as they are.
+        """
+        w = self._warp
+        self._launch(self._kernels.close, self.simulator.state.alive.entries(), self._slot, self._view, self._own,
+                     self._rules, w["waiting"], w["done"], w["time_out"], w["log"], w["sums"])  # fmt: skip
+
+    def own(self, name: str) -> torch.Tensor:
+        """Return what the worlds remember by a name of `Parts.arrays` that is the task's own, a view [worlds, ...]."""
+        return self._counts[name]
+
+    def measured(self) -> dict[str, torch.Tensor]:
+        """Return the measures of every world's episode as `end_step` last wrote them, views [worlds] by name."""
+        log: dict[str, torch.Tensor] = self._extras["log"]
+        return log
 
     def capture(self) -> None:
         """Record the policy step as one graph that `step` replays from now on.

@@ -165,8 +165,16 @@ class Parts:
         said = [(f.key, first) for f, first in groups], [(f.key, factor) for f, factor in rewards]
         keys = {name: [f.key for f in functions] for name, functions in lists.items()}
         digest = hashlib.sha256(repr((said, keys, [f.key for f in self.measures.values()])).encode()).hexdigest()
-        return phase_kernels(f"{self.name}_{digest[:8]}", self.own, rewards=rewards, groups=groups,
-                             measures=list(self.measures.values()), **lists)  # fmt: skip
+        measures = list(self.measures.values())
+        parts = (self.name, digest, self.own, *rewards, *groups, *measures, *map(tuple, lists.values()))
+        if parts not in _KERNELS:
+            _KERNELS[parts] = phase_kernels(f"{self.name}_{digest[:8]}", self.own, rewards=rewards, groups=groups,
+                                            measures=measures, **lists)  # fmt: skip
+        return _KERNELS[parts]
+
+
+#: Kernels that were made, by the parts themselves: tasks of the same parts share them, and are compiled once.
+_KERNELS: dict[tuple[Any, ...], SimpleNamespace] = {}
 
 
 def _is_array(kind: Any) -> bool:

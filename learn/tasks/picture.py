@@ -47,18 +47,28 @@ def world_picture(sim: ArmSimulator, scene: Scene, world: int) -> NDArray[np.uin
     start, end, radius, color = solids(sim, scene, world)
     used = radius > 0.0
     bodies = Solids.cones(start[used], end[used], np.repeat(radius[used, None], 2, axis=1), color[used])
-    return _developed(sim, _host(scene.root)[world], [bodies], view_of(sim, scene, world))
+    return developed(_host(scene.root)[world], [bodies], view_of(sim, scene, world), str(sim.model.device))
 
 
-def _developed(sim: ArmSimulator, root: Array, parts: list[Solids], view: View) -> NDArray[np.uint8]:
-    """Trace solids over a ground level with a trunk's foot, the sun behind the viewer, beside a rod for the scale."""
+def developed(root: Array, parts: list[Solids], view: View, device: str = "cpu") -> NDArray[np.uint8]:
+    """Trace solids over a ground level with a trunk's foot, the sun behind the viewer, beside a rod for the scale.
+
+    Args:
+        root: Foot of the trunk [m], [3].
+        parts: What is seen.
+        view: Where it is seen from.
+        device: Warp device.
+
+    Returns:
+        A picture, [height, width, 3].
+    """
     ground = Ground(min(0.0, float(root[2])), GROUND, SCALE, contrast=0.1)
     seen_from = np.subtract(view.position, view.target)
     azimuth = float(np.degrees(np.arctan2(seen_from[1], seen_from[0]))) + 40.0
     foot = np.array([*(-0.35 * root[:2]), 0.0])
     seen = Solids.joined([*parts, rod(foot, SCALE)])
     radiance = trace(seen, ground, view, Sunlight(azimuth=azimuth, elevation=48.0), WIDTH, HEIGHT, samples=SAMPLES,
-                     device=str(sim.model.device))  # fmt: skip
+                     device=device)  # fmt: skip
     return caption(develop(radiance), view, foot, SCALE)
 
 
@@ -73,12 +83,12 @@ def reach_picture(sim: ArmSimulator, root: torch.Tensor, target: Array, within: 
     branches = (start[used], end[used], np.repeat(radius[used, None], 2, axis=1), color[used])
     ball = (target[None], target[None] + UP, np.full((1, 2), BALL * within), np.array([TARGET]))
     parts = [Solids.cones(*branches), Solids.cones(*ball), *([Solids.cones(*arrows)] if len(arrows[0]) else [])]
-    return _developed(sim, _host(root)[world], parts, reach_view(root, target, world))
+    return developed(_host(root)[world], parts, reach_view(root, target, world), str(sim.model.device))
 
 
 def reach_view(root: torch.Tensor, target: Array, world: int) -> View:
     """Return a view of one world of reaching, of the middle between the arm's base and the target."""
-    return _across(0.6 * target + np.array([0.0, 0.0, 0.12]), _host(root)[world])
+    return across(0.6 * target + np.array([0.0, 0.0, 0.12]), _host(root)[world])
 
 
 def reach_solids(sim: ArmSimulator, target: Array, within: float, world: int) -> tuple[Array, Array, Array, Array]:
@@ -144,11 +154,11 @@ def solids(sim: ArmSimulator, scene: Scene, world: int) -> tuple[Array, Array, A
 def view_of(sim: ArmSimulator, scene: Scene, world: int) -> View:
     """Return a view across the line, from a little above, of the middle between the arm's base and the line."""
     start, end = _host(sim.line_start)[world], _host(sim.line_end)[world]
-    return _across(0.6 * (start + end) / 2 + 0.4 * np.array([0.0, 0.0, 0.4]), _host(scene.root)[world])
+    return across(0.6 * (start + end) / 2 + 0.4 * np.array([0.0, 0.0, 0.4]), _host(scene.root)[world])
 
 
-def _across(middle: Array, root: Array) -> View:
-    """Return a view of a point from the side of the way from the arm to the trunk, and from a little above."""
+def across(middle: Array, root: Array) -> View:
+    """Return a view of a point [m], from the side of the way from the arm to the trunk, and from a little above."""
     outward = root * [1.0, 1.0, 0.0]
     outward /= max(float(np.linalg.norm(outward)), 1e-9)
     side = np.cross([0.0, 0.0, 1.0], outward)

@@ -41,7 +41,7 @@ class BranchTask(AssembledTask):
 
     def __init__(
         self, settings: ReachSettings, parts: Parts | None = None, *, num_envs: int = 64, seed: int = 0,
-        device: str = "cpu", test: bool = False, arm: Arm | None = None,
+        device: str = "cpu", test: bool = False, arm: Arm | None = None, first: int = 0,
     ) -> None:  # fmt: skip
         """Grow the trees, allocate all memory and start the first episodes.
 
@@ -53,6 +53,7 @@ class BranchTask(AssembledTask):
             device: ``cpu`` or ``cuda:N``.
             test: Whether worlds are those of a test set and all contacts are on.
             arm: The arm; None takes the one that the settings name.
+            first: Number of the first world in its test set, which says its target and pattern.
 
         Raises:
             InputError: The settings, the parts, or the files that they name.
@@ -64,7 +65,7 @@ class BranchTask(AssembledTask):
         parts = reach_parts(settings, arm.num_dofs, test=test) if parts is None else parts
         self.name, domain = parts.name, "test" if test else "training"
         told = self._read_classifier(arm.num_dofs) if settings.flag == "classifier" and "told" in parts.arrays else None
-        self._build_worlds(arm, seed, domain)
+        self._build_worlds(arm, seed, domain, first)
         words = seed_sequence(seed, domain).generate_state(7)[5:]
         key = wp.vec2ui(int(words[0]), int(words[1]))
         given = {"target": self.places.target_array, "joint_broken": self._joint_broken()}
@@ -73,7 +74,7 @@ class BranchTask(AssembledTask):
         self._touch = None if told is None else self._touch_flag(key, *told)
         self._begin()
 
-    def _build_worlds(self, arm: Arm, seed: int, domain: str) -> None:
+    def _build_worlds(self, arm: Arm, seed: int, domain: str, first: int) -> None:
         s = self.cfg.scene
         trees = grow_reach_trees(s, arm, self.num_envs, seed=seed, domain=domain)
         self.simulator = ArmSimulator(trees, arm, contacts=self._contacts(trees, all_on=domain == "test"),
@@ -83,7 +84,7 @@ class BranchTask(AssembledTask):
         for world, tree in enumerate(trees if self.simulator.rupture is not None else ()):
             bears = torch.as_tensor(joint_strength(tree, s.strength), dtype=torch.float32)
             self.simulator.rupture.strength[world, : tree.num_links] = bears  # type: ignore[union-attr]
-        self.places = ReachPlaces(self.simulator, trees, s, seed=seed, domain=domain)
+        self.places = ReachPlaces(self.simulator, trees, s, seed=seed, domain=domain, first=first)
 
     def _joint_broken(self) -> wp.array:
         """Return which joints are broken, [worlds, links]; one that never is where wood has no strength."""

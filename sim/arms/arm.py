@@ -158,3 +158,17 @@ def forward_kinematics(arm: Arm, q: Array) -> tuple[Array, Array, tuple[Array, A
     carrier = turn[..., arm.end_link, :]
     end = origin[..., arm.end_link, :] + quat_rotate(carrier, arm.end_position)
     return points, turn, (end, quat_multiply(carrier, arm.end_rotation))
+
+
+def arm_capsules(arm: Arm, q: Array) -> tuple[Array, Array]:
+    """Return the ends of the capsules' axes for joint positions ``q`` [dof], the base's first [m], [C, 3] each."""
+    points, turn, _ = forward_kinematics(arm, q)
+    tree = arm.tree
+    link = tree.shape_link
+
+    def placed(p: Array) -> Array:
+        return points[link] + quat_rotate(turn[link], p - tree.anchor[link])
+
+    ends = ((arm.base_start, tree.shape_start), (arm.base_end, tree.shape_end))
+    start, end = (np.concatenate([base, placed(own)]) for base, own in ends)
+    return start, end

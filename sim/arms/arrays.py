@@ -18,7 +18,7 @@ from ..engine.arrays import LaneArray, integer_array
 from ..engine.launcher import Launcher
 from ..engine.model import Model
 from ..trees.tree import Tree
-from .arm import Arm, forward_kinematics
+from .arm import Arm, arm_capsules
 
 #: Contacts that press for which Newton's method is used; where more do, there are only sweeps.
 DIRECT = 10
@@ -119,20 +119,6 @@ def _reach(vectors: dict[str, Array]) -> Array:
     steps = np.linalg.norm(vectors["position"], axis=1)
     ends = np.linalg.norm(np.concatenate([vectors["shape_start"], vectors["shape_end"]]), axis=1).max()
     return np.array([steps[j + 1 :].sum() + ends for j in range(len(steps))])
-
-
-def arm_capsules(arm: Arm, q: Array) -> tuple[Array, Array]:
-    """Return the ends of the capsules' axes for joint positions ``q`` [dof], the base's first [m], [C, 3] each."""
-    points, turn, _ = forward_kinematics(arm, q)
-    tree = arm.tree
-    link = tree.shape_link
-
-    def placed(p: Array) -> Array:
-        return points[link] + rotation.quat_rotate(turn[link], p - tree.anchor[link])
-
-    ends = ((arm.base_start, tree.shape_start), (arm.base_end, tree.shape_end))
-    start, end = (np.concatenate([base, placed(own)]) for base, own in ends)
-    return start, end
 
 
 def _pairs(arm: Arm, link: IntArray) -> NDArray[np.int32]:

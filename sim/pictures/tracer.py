@@ -149,13 +149,13 @@ def trace(
     wp.load_module(raytrace, device=where)
     camera = _camera(view, width, height)
     there, _trees = _solids(solids, ground, view, light, camera.pixel, where)
-    lamp = _light(light, ground, where)
+    shining = lamp(light, ground, where)
     workers = num_threads() if threads is None else threads
     bands = np.array_split(np.arange(height), 8 * workers if where.is_cpu else 1)
 
     def band_radiance(rows: IntArray) -> Array:
         out = wp.empty((len(rows), width), dtype=wp.vec3, device=where)
-        inputs = [there, lamp, camera, height, int(rows[0]), samples]
+        inputs = [there, shining, camera, height, int(rows[0]), samples]
         wp.launch(raytrace.trace, dim=out.shape, inputs=inputs, outputs=[out], device=where)
         return out.numpy()
 
@@ -202,7 +202,8 @@ def _margins(solids: Solids, height: Array, view: View, light: Sunlight, pixel: 
     return [0.5 * pixel * away, soft, raytrace.REACH * solids.radius[~solids.leaf()].max(axis=1)]
 
 
-def _light(light: Sunlight, ground: Ground, device: wp.Device) -> raytrace.Light:
+def lamp(light: Sunlight, ground: Ground, device: wp.Device) -> raytrace.Light:
+    """Return sun and sky as the kernels take them, the sky's harmonics and what a ground sends back included."""
     out = raytrace.Light()
     out.to_sun = wp.vec3(*light.to_sun())
     out.sun, out.sun_radius = wp.vec3(*light.sun), float(np.tan(np.radians(light.softness)))

@@ -236,8 +236,9 @@ class ReachPlaces:
     """
 
     def __init__(
-        self, simulator: ArmSimulator, trees: list[Tree], settings: ReachScene, *, seed: int, domain: str
-    ) -> None:
+        self, simulator: ArmSimulator, trees: list[Tree], settings: ReachScene, *, seed: int, domain: str,
+        first: int = 0,
+    ) -> None:  # fmt: skip
         """Allocate everything; place nothing yet.
 
         In tests world w has pattern w mod 5 and target (w / 5) mod 60.
@@ -248,7 +249,9 @@ class ReachPlaces:
             settings: The ranges.
             seed: Seed of all places.
             domain: ``training`` or ``test``.
+            first: Number of the first world in its test set.
         """
+        self._first = first
         self.settings, self._simulator, self.device = settings, simulator, simulator.model.device
         words = seed_sequence(seed, domain).generate_state(4)[2:]
         self._key = wp.vec2ui(int(words[0]), int(words[1]))
@@ -301,7 +304,7 @@ class ReachPlaces:
 
     def _fix(self, out: Any, worlds: int, test: bool) -> None:
         """Write what is not drawn: turns and targets of tests."""
-        number = np.arange(worlds)
+        number = self._first + np.arange(worlds)
         pattern = number % len(PATTERNS) if test else np.full(worlds, -1)
         self.pattern = torch.as_tensor(pattern, device=wp.device_to_torch(self.device))
         turn = np.radians(np.array(PATTERNS))[pattern] if test else np.full(worlds, -1.0)

@@ -63,7 +63,9 @@ def test_only_the_held_back_exam_opens_them() -> None:
         assert {s.outside for s in specs if s.outside} <= set(outside_names(held))
         assert {s.segments for s in specs} == set(range(1, 7))
     allowed = {"cli/diagnose.py", "learn/exam/hold.py", "docs/hide.md", "CHANGELOG.md"}
-    files = [p for p in ROOT.rglob("*") if p.suffix in {".py", ".md", ".yaml", ".yml", ".toml"} or p.name == "Makefile"]
+    own = (p for p in ROOT.iterdir() if not p.name.startswith(".") and p.name != "out")  # .venv holds 60,000 files
+    every = (p for top in own for p in (top.rglob("*") if top.is_dir() else [top]))
+    files = [p for p in every if p.suffix in {".py", ".md", ".yaml", ".yml", ".toml"} or p.name == "Makefile"]
     named = {str(p.relative_to(ROOT)) for p in files if {*_words(p)} & {"held_back", "--held-back"}}
     allowed.add("tests/cli/test_hide_story.py")  # of one case in which nothing is hidden
     own = {name for name in named if name.startswith(("learn/hidden/", "tests/learn/hidden/", "docs/decisions/"))}

@@ -29,11 +29,14 @@ def page():
     made.stop()
 
 
-def test_rods_reach_from_end_to_end(page):
+@pytest.mark.parametrize(("trees", "sides"), [(1, 8), (100, 5)])
+def test_rods_reach_from_end_to_end(page, trees, sides):
     """Find every corner of every rod's mesh within 8 % of its radius from the cone between the capsule's ends."""
     tree = grow_forest("Ta", count=1, order=2, noise=0.1, seed=0)[0]
-    start, end = shape_ends(tree)
-    wood = Wood(page.server.scene, "/wood", (start, end), tree.shape_radius, np.full((len(start), 3), 0.5))
+    start, end = (np.tile(ends, (trees, 1)) for ends in shape_ends(tree))
+    radii = np.tile(tree.shape_radius, (trees, 1))
+    wood = Wood(page.server.scene, "/wood", (start, end), radii, np.full((len(start), 3), 0.5))
+    assert {len(handle.vertices) for handle in wood.rods} == {2 * sides}
     assert sorted(np.concatenate(wood.members).tolist()) == list(range(len(start)))
     for handle, chosen in zip(wood.rods, wood.members, strict=True):
         for n, c in enumerate(chosen):
@@ -42,10 +45,10 @@ def test_rods_reach_from_end_to_end(page):
             axis = end[c] - start[c]
             share = (at - start[c]) @ axis / (axis @ axis)
             away = np.linalg.norm(at - start[c] - share[:, None] * axis, axis=1)
-            radius = np.interp(share, [0.0, 1.0], tree.shape_radius[c])
+            radius = np.interp(share, [0.0, 1.0], radii[c])
             assert np.abs(np.abs(share - 0.5) - 0.5).max() < 1e-5  # float32 of the page
             # tapers are drawn with the nearest of five, no two more than 0.25 apart
-            assert np.abs(away - radius).max() < 0.126 * tree.shape_radius[c].max() + 1e-6
+            assert np.abs(away - radius).max() < 0.126 * radii[c].max() + 1e-6
 
 
 def test_worlds_stand_apart():

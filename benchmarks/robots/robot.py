@@ -5,7 +5,7 @@ while a client steers it over the stream, two watch, and as many HTTP requests c
 pause. Then clients that move the arm are killed with -9, some over the stream and some over HTTP; counted is the time
 from the tick at which the last command was accepted to that at which every joint is below 0.02 rad/s.
 
-Run: ``python benchmarks/robot.py [--quick] [--seed n]``
+Run: ``python benchmarks/robots/robot.py [--quick] [--seed n]``
 """
 
 from __future__ import annotations
@@ -19,11 +19,10 @@ import tempfile
 import time
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 import measuring
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
 from bough.learn.robot.log import joint_columns
 from measuring import Figure
 from oracles.robot.service import CLIENT, Served, moving_client

@@ -11,7 +11,7 @@ the same settings after every recording from the second on. The clock is simulat
 Counted are recordings until the right name (and no other) stays to the end, and until the rule settles; a wrong name
 that settled is wrong. Intervals of differences are bootstrapped over branches (2000 draws).
 
-Run: ``python benchmarks/probing.py [--quick] [--seed n] [--branches n]``
+Run: ``python benchmarks/robots/probing.py [--quick] [--seed n] [--branches n]``
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ import tempfile
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import measuring
 import numpy as np

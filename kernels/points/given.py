@@ -1,0 +1,40 @@
+"""Points of branches that were seen instead of drawn, put where drawn ones lie (`kernels.points.cloud`)."""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from ..lanes.real import SOURCE
+from .cloud import BRANCHES, Shapes, bound_chunks, cloud_types, mark_near
+
+__all__ = ["given_kernel"]
+
+
+@cache
+def given_kernel(width: int = 1) -> Any:
+    """Return the kernel that puts seen points into the branches' clouds, thread (world).
+
+    ``point_in`` [worlds, 3, points] in m is copied to the bit; ``present_in`` [worlds] is 0 where nothing was seen.
+    """
+    t = cloud_types(width)
+    Clouds, W = t.Clouds, width
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def given(
+        point_in: wp.array3d(dtype=wp.float32), present_in: wp.array(dtype=int), target_in: Shapes, zoom: float,
+        first: int, first_row: int, c_out: Clouds,
+    ):  # fmt: skip
+        tag = SOURCE  # noqa: F841
+        i = wp.tid()
+        w = first + i
+        row = first_row + i
+        for m in range(3):
+            for p in range(point_in.shape[2]):
+                c_out.flat[row, BRANCHES, m, p] = point_in[w, m, p]
+        c_out.present[row, BRANCHES] = present_in[w]
+        if wp.static(W > 1):
+            bound_chunks(row, BRANCHES, W, c_out)
+        mark_near(w, target_in, zoom, row, BRANCHES, c_out)
+
+    return given

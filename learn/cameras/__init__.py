@@ -1,0 +1,4 @@
+"""Cameras: frames, masks, clouds of points for a policy, and the processes between them.
+
+Uses: `sim.base`.
+"""
