@@ -29,6 +29,7 @@ from .play import Play
 from .replay import Replay
 from .reproduce import Reproduce
 from .robots.cameras import Camera
+from .robots.probe import Probe
 from .robots.recordings import ImportArm, ImportCase, NewCase, Record
 from .robots.robot import Robot
 from .robots.run import Run
@@ -64,6 +65,7 @@ Command = (
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Touch, tyro.conf.subcommand("touch")]
     | Annotated[Robot, tyro.conf.subcommand("robot")]
+    | Annotated[Probe, tyro.conf.subcommand("probe")]
     | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Camera, tyro.conf.subcommand("camera")]
 )
