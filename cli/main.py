@@ -29,7 +29,7 @@ from .play import Play
 from .replay import Replay
 from .reproduce import Reproduce
 from .robots.cameras import Camera
-from .robots.recordings import ImportCase, NewCase, Record
+from .robots.recordings import ImportArm, ImportCase, NewCase, Record
 from .robots.robot import Robot
 from .robots.run import Run
 from .simulate import Simulate, simulate_case
@@ -49,6 +49,7 @@ Command = (
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[NewCase, tyro.conf.subcommand("new-case")]
     | Annotated[ImportCase, tyro.conf.subcommand("import-case")]
+    | Annotated[ImportArm, tyro.conf.subcommand("import-arm")]
     | Annotated[Record, tyro.conf.subcommand("record")]
     | Annotated[Identify, tyro.conf.subcommand("identify")]
     | Annotated[Hide, tyro.conf.subcommand("hide")]

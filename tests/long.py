@@ -5,13 +5,14 @@ of the same kind. An entry that fits no test is an error.
 """
 
 _SEARCH = "a whole search (10 to 100 s); make test keeps a null, a hidden drag found and shown, and the real pendulum"
-_REAL = "a real recording (6 s each; silverbox minutes); make test keeps the pendulum, the arm and a tree"
+_REAL = "a real recording (6 s each; silverbox more); make test keeps the pendulum, the arm and a tree"
 _LAWS = "compiles a contact kernel of its own with laws (15 to 40 s); make test keeps the one with five laws in 8 lanes"
 _CHAINS = "long chains against known moments; make test keeps SVGD and one case of each chain"
 _KILLED = "kills and repeats a command of half a minute; make test keeps killed trainings"
 _OTHER = "the same as one that make test keeps, on another scene or width"
 _PAGES = "compiles kernels or trains for an example of a page; make test runs those of README, tour and API"
 _ARM_RUNS = "a run on a twin in real time (10 s and more); make test keeps the same faults on a clock of its own"
+_CAMERAS = "processes of their own (1 s of CPU each); make test keeps a frozen camera and a killed segmenter"
 _TUTORIALS = "a whole tutorial (15 to 40 s of CPU); make test turns all into pages, runs the API's examples"
 _GALLERY = "a block of the gallery (3 to 8 s of CPU); make test runs the one with four species"
 _GPU = "compiles a large kernel for a GPU; make test keeps the plain step and the one with laws in float32"
@@ -35,6 +36,11 @@ LONG = {
     "cli/robots/test_robot_story.py::test_a_client_that_is_killed_leaves_the_arm_standing[http]": "as on the stream",
     "cli/robots/test_robot_story.py::test_a_robot_behind_rosbridge": "8 s; make test keeps both drivers in one process",
     "cli/robots/test_robot_story.py::test_commands_over_the_limits_are_cut": "the guard's properties stay",
+    "learn/cameras/test_pipeline.py::test_a_camera_that_freezes[silent_at]": _CAMERAS,
+    "learn/cameras/test_pipeline.py::test_a_process_that_is_killed[camera]": _CAMERAS,
+    "learn/cameras/test_pipeline.py::test_a_process_that_is_killed[clouds]": _CAMERAS,
+    "learn/cameras/test_pipeline.py::test_key_frames_alone": _CAMERAS,
+    "learn/cameras/test_vision.py::test_pictures_become_clouds": "two more processes that import transformers (8 s)",
     "cli/test_plugins_story.py::test_a_package_s_probe": "a whole diagnosis (20 s); make test keeps what info tells",
     "cli/test_simulate_story.py::test_a_strange_mjcf_moves_as_in_mujoco[1]": _OTHER,
     "cli/test_simulate_story.py::test_a_strange_mjcf_moves_as_in_mujoco[4]": _OTHER,

@@ -54,6 +54,8 @@ def look(source: Source, rig: Rig, segmenter: Segmenter, arm: Arm | None, q: Arr
     """
     taken = _first(source, rig)
     own = next((t.q for t in taken if t.q is not None), q)
+    if arm is not None and own is not None and len(own) != arm.num_dofs:
+        raise InputError("camera", "joints", f"{len(own)} with the pictures", f"{arm.num_dofs}, as the arm has")
     hand = None if arm is None or own is None else forward_kinematics(arm, own)[2]
     body = None if arm is None or own is None else capsules_at(arm, own)
     pictures, parts, shares = [], [], {}

@@ -108,7 +108,9 @@ class CameraClouds:
         return "; ".join([late, *told])
 
     def tell(self, time: float, q: Array) -> None:
-        """Take measured joint positions [rad], [D], at a time of `time.monotonic` [s]."""
+        """Take measured joint positions [rad], [D], at a time of `time.monotonic` [s]; nothing where there is no arm."""
+        if self._board.joints.read_shape("q") == (0,):
+            return
         self._board.joints.write(time=time, q=q)
 
     def close(self) -> None:

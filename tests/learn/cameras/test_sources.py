@@ -60,7 +60,7 @@ def test_cameras_look_at_a_served_twin(served):
     """See branches of a served twin from processes of their own, the arm cut out where its joints are told."""
     with open_clouds("twin", arm=ARM, url=f"http://127.0.0.1:{served.port}", token=served.token, limit=5.0) as clouds:
         q = np.array(served.ask("/fetch_kinova_metrics")[1]["robot_dof_pos"])
-        end, found = time.monotonic() + 120.0, None
+        end, found = time.monotonic() + 240.0, None
         while found is None and time.monotonic() < end:
             clouds.tell(time.monotonic(), q)
             found = clouds.latest()
