@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles import json_page
 
 pytest.importorskip("fastapi", reason="the service needs the extra robot")
 pytest.importorskip("rsl_rl", reason="policies need the extra train")
@@ -88,6 +89,7 @@ def test_a_policy_runs_in_two_scenes_with_log_report_and_film(served, policies, 
     ran = bough("run", policy, "--robot", where(served), "--out", out, *options, "--json")
     assert ran.code == 0, ran.err
     told = json.loads(ran.out)
+    json_page.check("run", told)
     assert told == json.loads((out / "run.json").read_text()) | {"film": "frames"}
     assert (told["episodes"], told["task"], told["trouble"]) == (2, "powerline", "") and len(told["interval"]) == 2
     log, ticks = read_run(out), served.log()
