@@ -58,9 +58,12 @@ class ArmDiagnosis:
             found = self.named(joint, kind, effect)
             return 0.0 if found is None else found.value
 
-        # both say the same, where both say anything: the speed by the gain, the torque of itself
-        rubbing = value("torque", "dry_friction") or value("speed", "dry_friction")
-        error = value("torque", "gravity_comp_error") or value("speed", "gravity_comp_error")
+        def surest(effect: str) -> float:
+            """Return what the channel says that knows it best: a torque's noise may hide what a speed shows."""
+            both = [n for c, n in self.claimed if (c.joint, n.name) == (joint, effect)]
+            return min(both, key=lambda n: n.high - n.low).value if both else 0.0
+
+        rubbing, error = surest("dry_friction"), surest("gravity_comp_error")
         damping = next((c.damping for c in self.channels if (c.joint, c.kind) == (joint, "torque")), (0.0, 0.0, 0.0))
         return ServoModel(
             name=name,
