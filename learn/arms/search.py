@@ -257,7 +257,10 @@ class Search:
             grid = getattr(model.ways, name)
             value, half = (
                 float(grid[model.fit.at]),
-                self._half(grid[model.fit.chosen], float(np.diff(GRIDS[name]).min())),
+                self._half(
+                    grid[model.fit.chosen],
+                    float(np.interp(float(grid[model.fit.at]), GRIDS[name], np.gradient(GRIDS[name]))),
+                ),
             )
         scale = self._gain(model) if name == "dry_friction" and not linear else 1.0
         low = value - half if name == "gravity_comp_error" else max(0.0, value - half)

@@ -28,7 +28,8 @@ def test_nothing_hidden_is_none(tmp_path):
 def test_four_joints_that_lack_four_things(tmp_path):
     """Name friction, weight, play and delay where they are, with the values that MuJoCo was given.
 
-    Tolerances are the grids' steps: 5 ms, 0.2 N m (a speed of 0.0025 rad/s at the gain of 80), 19 % of a play.
+    Tolerances are the grids' steps: 5 ms, 0.2 N m (a speed of 0.0025 rad/s at the gain of 80); a quarter of a play, in
+    which the loose link also swings: no play operator does.
     """
     hidden = Hidden(friction=at(3, 4.0), weight=at(1, 0.2), delay=at(4, 0.12), play=at(0, 0.05), behind=True)
     found = diagnosed(tmp_path, hidden)
@@ -42,7 +43,7 @@ def test_four_joints_that_lack_four_things(tmp_path):
     assert joints[3].friction_Nm == pytest.approx(4.0, abs=0.2)
     assert joints[1].weight_error == pytest.approx(0.2, abs=0.03)
     assert joints[4].delay_s == pytest.approx(0.12, abs=0.005)
-    assert joints[0].backlash_rad == pytest.approx(0.05, rel=0.19)
+    assert joints[0].backlash_rad == pytest.approx(0.05, rel=0.25)
     speed = {c.joint: c for c in found.channels if c.kind == "speed"}
     assert all(speed[j].repaired < 0.5 * speed[j].base for j in (1, 3, 4))
     assert speed[0].repaired < 0.8 * speed[0].base  # a link that is loose also swings, which no play operator does
