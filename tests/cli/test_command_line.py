@@ -89,9 +89,11 @@ def test_results_as_json(bough, inside):
     facts = printed("info", run=bough)
     assert facts["bough"].startswith(package.__version__) and facts["self-check"].startswith("passed")
     assert isinstance(facts["parts"], list)
-    forest = printed("forest", "--count", 2, "--order", 1, "--picture-width", 0, "--out", "forest")
+    trees = ("--count", 2, "--order", 1, "--format", "urdf", "--picture-width", 0)
+    forest = printed("forest", *trees, "--out", "forest")
     assert forest == json.loads(Path("forest/forest.json").read_text()) and "json" not in forest["options"]
-    moved = printed("simulate", "forest/tree_0000.xml", "--seconds", 0.05, "--worlds", 2, "--out", "moved")
+    sizes = ("--seconds", 0.05, "--worlds", 2)  # in a process of its own: Newton, which reads a URDF, starts Warp there
+    moved = printed("simulate", "forest/tree_0000.urdf", *sizes, "--out", "moved", run=bough)
     assert (moved["worlds"], moved["frozen"], moved["steps"], moved["out"]) == (2, 0, 12, "moved")
     answer = printed("hide", "--segments", 1, "--samples", 40, "--out", "case")
     assert answer == json.loads(Path("case_answer.json").read_text())
