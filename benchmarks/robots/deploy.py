@@ -30,7 +30,7 @@ from bough.learn.cameras.clouds import capsules_at, cloud_of, joined
 from bough.learn.cameras.colours import ByColour
 from bough.learn.cameras.frames import Clouds, Frame
 from bough.learn.cameras.open import open_source
-from bough.learn.deploy.loop import Runner, Senses
+from bough.learn.deploy.loop import Runner, Senses, prepare
 from bough.learn.deploy.plan import Driver, read_driver
 from bough.learn.deploy.simulated import SimulatedTwin
 from bough.learn.deploy.stage import Stage, make_world
@@ -101,6 +101,7 @@ def measured(options: argparse.Namespace) -> list[Figure]:
         run = options.run or trained(Path(folder) / "run", 2 if options.quick else 60)
         count = 3 if options.quick else options.episodes
         driver = read_driver(run, known_tasks())
+        prepare(driver)
         inside = np.array([in_task(driver, options.seed, k) for k in range(count)])
         told(f"{driver.plan.name}, {driver.trained.iteration} iterations, in the task", inside)
         outside = np.array(end_to_end(driver, options.seed, count, options.camera, options.accelerate))
@@ -152,7 +153,6 @@ def end_to_end(driver: Driver, seed: int, count: int, camera: str, accelerate: b
         seen = SeenTwin(twin) if camera == "twin" else TruthClouds(twin)
     senses = Senses(seen, twin, true_touch=driver.plan.feeling)
     runner = Runner(driver, twin, senses, twin.clock, None)
-    runner.prepare()
     out, ended, began = [], [], time.process_time()
     for number in range(count):
         runner.begin(number)

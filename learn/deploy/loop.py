@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
+from ...sim.arms.arm import forward_kinematics
 from ...sim.base.types import Array
 from ..cameras.frames import Clouds, CloudSource
 from ..robot.client import SILENT, LostError, RobotError, State, StoppedError
@@ -157,15 +158,6 @@ class Runner:
         self._clear = 0
         self._probability = np.nan
         self._action: Array = np.zeros(self.driver.plan.arm.num_dofs)
-
-    def prepare(self) -> None:
-        """Compile and load whatever an answer takes, so that no tick waits for it; nothing is sent."""
-        self.restart()
-        state = self.link.next()
-        self.observer.observe(state)
-        self.steering.act(self.driver.act(self.observer.observation))
-        self.steering.ask(state.qd)
-        self.restart()
 
     def run(self, number: int) -> Episode:
         """Run an episode from where the arm is; the arm stands still afterwards.
@@ -369,3 +361,16 @@ class Runner:
 
 def _because(source: CloudSource) -> str:
     return f": {source.trouble}" if source.trouble else ""
+
+
+def prepare(driver: Driver) -> None:
+    """Compile and load whatever an answer takes: before an arm is connected, so that neither waits for the other."""
+    arm = driver.plan.arm
+    _, _, (hand, turn) = forward_kinematics(arm, arm.home)
+    still = np.zeros(arm.num_dofs)
+    observer, steering = Observer(driver.plan, arm), Steering(arm, driver.plan.pace)
+    steering.act(
+        driver.act(observer.observe(State(0, 0.0, 0.0, arm.home, still, still, hand, turn, 0.0, "", 0, "", {})))
+    )
+    steering.ask(still)
+    driver.restart()

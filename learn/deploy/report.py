@@ -39,7 +39,7 @@ def summary(episodes: Sequence[Episode], about: dict[str, Any]) -> dict[str, Any
     return {
         "format": FORMAT, **about, "episodes": len(episodes), "seen_done": said,
         "agreed": sum(e.seen == bool(e.success) for e in known),
-        "success": None if not truth else share, "interval": None if not truth else list(wilson(share, len(truth))),
+        "success": None if not truth else share, "interval": list(wilson(share, len(truth))) if truth else [],
         "stopped": sum(e.ended not in ("done", "time") for e in episodes),
         "missed_ticks": sum(e.missed for e in episodes),
         "period_s": _spread([p for e in episodes for p in e.periods]),

@@ -25,7 +25,7 @@ from ..tasks.registry import TaskRegistry
 from .feel import Feel
 from .film import Footage
 from .log import LOG, RunLog
-from .loop import Episode, Link, Runner, Senses
+from .loop import Episode, Link, Runner, Senses, prepare
 from .plan import REACHES, Driver, read_driver
 from .report import summary, write
 from .truth import FAST, SLOW, TruthClouds, TwinTruth
@@ -202,12 +202,17 @@ class Session:
         feel = None if self.touch in (TRUTH, NONE) else Feel(Path(self.touch), plan.arm.num_dofs)
         senses = Senses(self.clouds, self.truth, feel, self.touch == TRUTH and plan.feeling, order.most_age)
         out = Runner(self.driver, link, senses, time.monotonic, log, seconds=order.seconds)
-        target = self._target()
+        target = self.target()
         if target is not None:
             out.aim(target)
         return out
 
-    def _target(self) -> Array | None:
+    def target(self) -> Array | None:
+        """Return where the hand is to go [m], [3]; None for a policy that goes nowhere.
+
+        Raises:
+            InputError: The twin's scene has no target.
+        """
         if self.driver.plan.name != REACHES:
             return None
         if self.order.target is not None:
@@ -242,6 +247,7 @@ def run(order: Order, registry: TaskRegistry, hooks: Hooks) -> Ended:
         OSError: There is no room for the log; the arm was stopped.
     """
     driver, touch = read_order(order, registry)
+    prepare(driver)
     session = Session(order, driver, touch)
     try:
         order.out.mkdir(parents=True, exist_ok=True)
@@ -259,7 +265,6 @@ def _run(session: Session, log: RunLog, hooks: Hooks) -> Ended:
     episodes: list[Episode] = []
     trouble = ""
     with one_thread():
-        runner.prepare()
         try:
             with first_in_line():
                 for number in range(order.episodes):
@@ -272,14 +277,20 @@ def _run(session: Session, log: RunLog, hooks: Hooks) -> Ended:
         except KeyboardInterrupt:
             trouble = "interrupted"
     result = summary(episodes, _about(session, trouble))
+    if footage.moments:
+        result["film"] = _filmed(session, footage)
     write(order.out, result)
-    if order.film is not None and footage.moments:
-        from ..policies.play import write_frames
-
-        target = session._target()
-        within = getattr(session.driver.plan.settings, "within", 0.0)
-        result["film"] = write_frames(order.out, footage.frames(target, within), order.film, order.fps)
     return Ended(result, trouble)
+
+
+def _filmed(session: Session, footage: Footage) -> str:
+    """Write the film of an episode; return the name of what was written."""
+    from ..policies.play import write_frames
+
+    order, settings = session.order, session.driver.plan.settings
+    assert order.film is not None
+    frames = footage.frames(session.target(), getattr(settings, "within", 0.0))
+    return write_frames(order.out, frames, order.film, order.fps)
 
 
 def _one(session: Session, runner: Runner, number: int, episodes: list[Episode]) -> None:
@@ -341,11 +352,11 @@ def dry_run(order: Order, registry: TaskRegistry, told: Callable[[State, Array],
         RobotError: The camera or the service is gone.
     """
     driver, touch = read_order(order, registry)
+    prepare(driver)
     session = Session(order, driver, touch, moves=False)
     try:
         with one_thread():
             runner = session.runner(Withheld(session.robot, told), None)
-            runner.prepare()
             return runner.run(0)
     finally:
         session.close()

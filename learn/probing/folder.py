@@ -156,6 +156,7 @@ class Folder:
     def _write(self, name: str, content: dict[str, Any]) -> None:
         """Write a file whole: beside its place, synced, renamed."""
         handle, fresh = tempfile.mkstemp(prefix=f".{name}-", dir=self.path)
+        os.fchmod(handle, 0o644)  # as all other files of a result
         with os.fdopen(handle, "w") as file:
             file.write(json.dumps(content, indent=1))
             file.flush()

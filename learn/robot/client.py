@@ -31,7 +31,7 @@ import urllib.error
 import urllib.request
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -42,6 +42,7 @@ import numpy as np
 from ...sim.base.errors import InputError, shortened
 from ...sim.base.extras import install_hint
 from ...sim.base.types import Array
+from .backend import unmeasured
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -128,9 +129,9 @@ class State:
     stop: int
     cause: str
     said: dict[str, Any]
-    gripper: float
-    force: Array
-    tag: Array
+    gripper: float = np.nan
+    force: Array = field(default_factory=unmeasured)
+    tag: Array = field(default_factory=unmeasured)
 
 
 def state_of(said: dict[str, Any], received: float) -> State:

@@ -16,6 +16,7 @@ pytest.importorskip("rsl_rl", reason="policies need the extra train")
 
 from bough.learn.deploy.log import read_run
 from bough.learn.robot.log import joint_columns
+from oracles import json_page
 from oracles.robot.service import Served, keeps_limits, keeps_still, limit_files, moving_client, size_of
 
 
@@ -88,7 +89,8 @@ def test_a_policy_runs_in_two_scenes_with_log_report_and_film(served, policies, 
     ran = bough("run", policy, "--robot", where(served), "--out", out, *options, "--json")
     assert ran.code == 0, ran.err
     told = json.loads(ran.out)
-    assert told == json.loads((out / "run.json").read_text()) | {"film": "frames"}
+    assert told == json.loads((out / "run.json").read_text()) and told["film"] == "frames"
+    json_page.check("run", told)
     assert (told["episodes"], told["task"], told["trouble"]) == (2, "powerline", "") and len(told["interval"]) == 2
     log, ticks = read_run(out), served.log()
     assert set(log["episode"]) == {0, 1} and told["period_s"]["count"] == len(log["tick"]) - 2
@@ -106,7 +108,7 @@ def test_a_dry_run_prints_what_it_would_send_and_sends_nothing(served, policies,
     before = served.ask("/status")[1]["accepted"]
     options = ("--camera", "truth", "--touch", "none", "--dry-run", "--seconds", "0.2")
     ran = bough("run", policies / "powerline", "--robot", where(served), *options)
-    assert ran.code == 0 and ran.out.count("would send") >= 5 and "Sent nothing" in ran.out, ran.err
+    assert ran.code == 0 and ran.out.count("would send") >= 2 and "Sent nothing" in ran.out, ran.err
     assert served.ask("/status")[1]["accepted"] == before
 
 
