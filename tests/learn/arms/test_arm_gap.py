@@ -43,8 +43,9 @@ def test_four_joints_that_lack_four_things(tmp_path):
     assert joints[1].weight_error == pytest.approx(0.2, abs=0.03)
     assert joints[4].delay_s == pytest.approx(0.12, abs=0.005)
     assert joints[0].backlash_rad == pytest.approx(0.05, rel=0.19)
-    speed = [c for c in found.channels if c.kind == "speed" and c.joint in (0, 1, 3, 4)]
-    assert all(c.repaired < 0.5 * c.base for c in speed)
+    speed = {c.joint: c for c in found.channels if c.kind == "speed"}
+    assert all(speed[j].repaired < 0.5 * speed[j].base for j in (1, 3, 4))
+    assert speed[0].repaired < 0.8 * speed[0].base  # a link that is loose also swings, which no play operator does
 
 
 def test_what_has_no_name_is_unknown(tmp_path):
