@@ -1,6 +1,6 @@
 """The gap between simulation and measurement: where it is, what is missing, and what is left once that is added.
 
-Uses: `sim.base`, `sim.effects`, `sim.engine`, `learn.runs`, `learn.reports`, `learn.cases`, `learn.systems`,
+Uses: `sim.base`, `sim.effects`, `sim.trees`, `sim.engine`, `learn.runs`, `learn.reports`, `learn.cases`, `learn.systems`,
 `learn.replay`, `learn.inference`, `learn.gap.models`.
 """
 
