@@ -96,9 +96,15 @@ class Probe:
             with RobotClient(self.robot, token, self.certificate) as robot:
                 return self._probe(robot, structure, ways, budget, settings)
         except RobotError as error:
-            kept = f"what was recorded is kept in {shown(self.out)}, and --resume goes on"
-            print(f"bough: {self.robot.rpartition('@')[2]}: {error}; {kept}", file=sys.stderr)
+            self._kept(f"{self.robot.rpartition('@')[2]}: {error}")
             return ExitCode.FAILED
+        except KeyboardInterrupt:
+            self._kept("interrupted")
+            return ExitCode.INTERRUPTED
+
+    def _kept(self, why: str) -> None:
+        kept = f"what was recorded is kept in {shown(self.out)}, and --resume goes on"
+        print(f"bough: {why}; {kept}", file=sys.stderr)
 
     def _ways(self) -> Ways:
         from ...learn.probing.hand import Ways

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +65,8 @@ def look(source: Source, rig: Rig, segmenter: Segmenter, arm: Arm | None, q: Arr
             raise InputError("cameras.yaml", camera.name, "mount: hand, and no joint positions", "joints with pictures")
         frame = Frame(t.time, t.colour, t.depth, t.intrinsics, *pose)
         labels = segmenter.label(frame)
-        points = cloud_of(frame, labels, rig, body)
+        known = rig.ground is None and np.isfinite(t.ground)
+        points = cloud_of(frame, labels, replace(rig, ground=t.ground) if known else rig, body)
         parts.append((t.time, *points))
         pictures.append(masked(frame, labels, body))
         has = frame.depth > 0

@@ -8,7 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -80,7 +80,7 @@ class Board:
 
         def picture(height: int, width: int, more: dict[str, tuple[str, tuple[int, ...]]]) -> Ring:
             return Ring({"time": ("f8", ()), "colour": ("u1", (height, width, 3)), "depth": ("f4", (height, width)),
-                         "intrinsics": ("f8", (4,)), "q": ("f8", joints)} | more)  # fmt: skip
+                         "intrinsics": ("f8", (4,)), "q": ("f8", joints), "ground": ("f8", ())} | more)  # fmt: skip
 
         pictures = [picture(h, w, {}) for h, w in sizes]
         keys = [picture(h, w, {"labels": ("u1", (h, w))}) for h, w in sizes] if keyed else []
@@ -142,7 +142,7 @@ def take(board: Board, source: Source) -> None:
             last[k] = (taken.colour, taken.depth)
             q = _joints(board.joints.read_shape("q"), taken.q)
             board.pictures[k].write(time=taken.time, colour=taken.colour, depth=taken.depth,
-                                    intrinsics=taken.intrinsics, q=q)  # fmt: skip
+                                    intrinsics=taken.intrinsics, q=q, ground=taken.ground)  # fmt: skip
         board.say("camera", f"the same picture again and again of camera {sorted(frozen)}" if frozen else "")
     board.say("camera", "the recording is over")
 
@@ -211,7 +211,9 @@ class Clouder:
             return
         frame = Frame(float(row["time"]), row["colour"], row["depth"], tuple(row["intrinsics"].tolist()), *pose)
         body = None if self._arm is None or q is None else capsules_at(self._arm, q)
-        self._parts[camera] = (frame.time, *cloud_of(frame, labels, self._rig, body))
+        known = self._rig.ground is None and np.isfinite(row["ground"])
+        rig = replace(self._rig, ground=float(row["ground"])) if known else self._rig
+        self._parts[camera] = (frame.time, *cloud_of(frame, labels, rig, body))
         if len(self._parts) == len(self._rig.cameras):
             self._board.say("clouds", "")
             self._write()

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bough.learn.cameras.bag import BagSource
 from bough.learn.cameras.calibration import Mounted, plain_rig, read_rig
+from bough.learn.cameras.clouds import beside
 from bough.learn.cameras.open import open_clouds, open_source, twin_rig
 from bough.learn.cameras.realsense import RealSenseSource
 from bough.learn.cameras.source import TwinSource
@@ -67,6 +68,12 @@ def test_cameras_look_at_a_served_twin(served):
             time.sleep(0.01)
         assert found is not None, clouds.trouble
         assert len(found.branches) > 20 and len(found.line) == 0
+        with TwinSource(f"http://127.0.0.1:{served.port}", twin_rig(), token=served.token)._connected() as socket:
+            socket.send("next")
+            scene = unpacked(socket.recv())
+        wood = scene.world.solids
+        away = beside(found.branches.astype(float), wood.start, wood.end, wood.radius.max(axis=1))
+        assert np.percentile(np.abs(away), 99) < 0.08  # six deviations of the depth at 1.2 m, and none on the ground
         assert 0.0 < time.monotonic() - found.time < 10.0
 
 
