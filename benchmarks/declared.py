@@ -194,6 +194,11 @@ BENCHMARKS = (
         ),
     ),
     Benchmark(
+        "probing", "Recordings that `bough probe` and a fixed set of eight pulls need to name a hidden effect.",
+        None, "robots/probing", 120, (), ("--quick", "--segments", "1", "--effects", "quadratic_drag", "dry_friction"),
+        unbound="it compares two designs of an experiment; fewer recordings are better",
+    ),
+    Benchmark(
         "cameras", "Clouds of one to three simulated D405s, with and without leaves, beside the kernel's own sampling.",
         "a second draw of the kernel", "robots/cameras", 2,
         bounds=(Bound("3 cameras", "occlusion", most=0.25), Bound("mask BRANCH", "found", least=0.9)),

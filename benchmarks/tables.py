@@ -242,10 +242,31 @@ def cost(found: Last) -> str:
 
 
 #: What makes each block that is about one benchmark: its name, and the function.
+def cameras(found: Last) -> str:
+    """Write a line for each number of cameras, with and without leaves, beside a second draw of the kernel."""
+    names = {"reach": "reach [mm]", "off": "off [mm]", "whole": "whole cloud", "near": "near the line",
+             "occlusion": "occlusion", "occlusion bias": "its bias"}  # fmt: skip
+    body = []
+    for case in found.cases("reach"):
+        row = [case]
+        for what in names:
+            figure = None if what == "off" and case.startswith("kernel") else found.get(case, what)
+            low, high = (0.0, 0.0) if figure is None or figure.range is None else figure.range
+            between = f"({low:.0f} to {high:.0f})" if high >= 20 else f"({low:.2g} to {high:.2g})"
+            row.append("" if figure is None else f"{figure.value:.3g} {between}")
+        body.append(row)
+    trace, segment = (found.get("processor time of a picture", what).value for what in ("trace", "segment"))
+    where = origin("cameras", found, "warp")
+    tail = f"""{where}. In brackets 95 % intervals of the mean over scenes. A picture of 424 x 240 pixels took
+        {trace:.0f} ms of processor time to trace, masks and points of it {segment:.0f} ms."""
+    return lines([["", *names.values()], *body]) + "\n\n" + paragraph(tail)
+
+
 BLOCKS: dict[str, tuple[str, Callable[[Last], str]]] = {
     "tree": ("tree", tree), "contact": ("contact", contact), "perception": ("perception", perception),
     "scale": ("scale", scale), "identification": ("identification", identification), "ranks": ("calibration", ranks),
     "joints": ("calibration", joints), "studies": ("calibration", studies), "cost": ("identification_cost", cost),
+    "cameras": ("cameras", cameras),
 }  # fmt: skip
 
 

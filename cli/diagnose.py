@@ -9,9 +9,9 @@ from typing import Literal
 import tyro
 
 from ..learn.gap import TOLERANCE
-from ..sim.base.console import bars, shown, start_warp, tell, warn
-from ..sim.base.errors import check_seed
-from ..sim.base.files import check_output
+from ..sim.base.console import bar, bars, shown, start_warp, tell, warn
+from ..sim.base.errors import InputError, check_seed
+from ..sim.base.files import check_output, output_folder
 from .base.exit_codes import ExitCode
 
 
@@ -19,8 +19,8 @@ from .base.exit_codes import ExitCode
 class Diagnose:
     """Find where simulation and measurement disagree, name the missing effect, add it, show the held-out error shrink.
 
-    Writes verdict.json, model.yaml (branches), figures and report.html. Exit code 0: done, whatever the verdict; 2: bad
-    input, nothing written.
+    Writes verdict.json, model.yaml, figures and report.html. Of an arm's free recordings (docs/arm_gap.md) it says what
+    the servos' model lacks. Exit code 0: done, whatever the verdict; 2: bad input, nothing written.
 
     Attributes:
         case: Case folder: meta.yaml and one CSV file per trajectory.
@@ -47,10 +47,13 @@ class Diagnose:
 
     def run(self) -> int:
         """Diagnose the case and say what came out and where the report is."""
+        from ..learn.cases.arm import is_arm_case
         from ..learn.cases.case import load_case
         from ..learn.gap.diagnosis import Settings
 
         names = tuple(name for entry in self.effects for name in entry.split(","))
+        if is_arm_case(self.case):
+            return self._arm(names)
         settings = Settings(names, self.tolerance, self.max_effects, self.seed, fit=self.fit)
         settings.check()
         case = load_case(self.case)
@@ -74,6 +77,24 @@ class Diagnose:
         for line in case.warnings:
             warn(line)
         tell(f"{found.sentence} Open {shown(self.out)}/report.html", self.out / "verdict.json", self.json)
+        return ExitCode.DONE
+
+    def _arm(self, names: tuple[str, ...]) -> int:
+        """Diagnose the servos of an arm."""
+        from ..learn.arms.diagnose import check_names, diagnose_arm
+        from ..learn.arms.report import sentence, write_arm_diagnosis
+        from ..learn.cases.arm import load_arm_case
+
+        if self.fit is not None or self.resume:
+            option = "--fit" if self.fit is not None else "--resume"
+            raise InputError("diagnose", option, "given with an arm's recordings", "branches and measured joints only")
+        check_names(names)
+        case = load_arm_case(self.case)
+        with output_folder(self.out) as folder, bar("searching channels", None) as advance:
+            found = diagnose_arm(case, effects=names, tolerance=self.tolerance, most=max(3, self.max_effects),
+                                 progress=advance)  # fmt: skip
+            write_arm_diagnosis(folder, found)
+        tell(f"{sentence(found)} Open {shown(self.out)}/report.html", self.out / "verdict.json", self.json)
         return ExitCode.DONE
 
 

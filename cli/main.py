@@ -29,7 +29,8 @@ from .play import Play
 from .replay import Replay
 from .reproduce import Reproduce
 from .robots.cameras import Camera
-from .robots.recordings import ImportCase, NewCase, Record
+from .robots.probe import Probe
+from .robots.recordings import ImportArm, ImportCase, NewCase, Record
 from .robots.robot import Robot
 from .robots.run import Run
 from .simulate import Simulate, simulate_case
@@ -49,6 +50,7 @@ Command = (
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[NewCase, tyro.conf.subcommand("new-case")]
     | Annotated[ImportCase, tyro.conf.subcommand("import-case")]
+    | Annotated[ImportArm, tyro.conf.subcommand("import-arm")]
     | Annotated[Record, tyro.conf.subcommand("record")]
     | Annotated[Identify, tyro.conf.subcommand("identify")]
     | Annotated[Hide, tyro.conf.subcommand("hide")]
@@ -63,6 +65,7 @@ Command = (
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Touch, tyro.conf.subcommand("touch")]
     | Annotated[Robot, tyro.conf.subcommand("robot")]
+    | Annotated[Probe, tyro.conf.subcommand("probe")]
     | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Camera, tyro.conf.subcommand("camera")]
 )

@@ -51,6 +51,8 @@ class Train:
         set: Settings of the task, name=value, such as forest=Tb springs=beam arm=jaco2.
         model: model.yaml of a branch with lengths and radii, such as bough diagnose writes: all trees are of its wood,
             as those of bough forest --model, and the effects that trees can have act in them.
+        arm_model: model.yaml of an arm, as bough diagnose writes of its recordings: the arm's servos have that gain,
+            friction, damping, delay and error of gravity compensation.
         logger: Where the numbers of metrics.csv go too: tensorboard (folder tensorboard of the run), wandb (both), or
             none.
         resume: Continue a run that was killed or is to be longer, with its own settings; begin one if there is none.
@@ -68,6 +70,7 @@ class Train:
     without: tuple[str, ...] = ()
     set: Annotated[tuple[str, ...], tyro.conf.arg(help_behavior_hint=ARMS.hint)] = ()
     model: Path | None = None
+    arm_model: Path | None = None
     logger: Logger = "tensorboard"
     resume: bool = False
     json: bool = False
@@ -124,6 +127,8 @@ class Train:
         ppo = self._sized(kind.ppo_for(settings, preset))
         if self.model is not None:
             settings = kind.of_model(settings, self.model)
+        if self.arm_model is not None:
+            settings = kind.of_arm(settings, self.arm_model)
         return Plan(self.task, settings, ppo, self.seed or 0, device)
 
     def _kept(self, folder: RunFolder, registry: TaskRegistry, processes: Processes) -> Plan:
@@ -146,6 +151,8 @@ class Train:
             _same(folder, "--without", left, kept.settings.groups)
         if self.model is not None:
             _same(folder, "--model", kind.of_model(kept.settings, self.model), kept.settings)
+        if self.arm_model is not None:
+            _same(folder, "--arm-model", kind.of_arm(kept.settings, self.arm_model), kept.settings)
         if self.policy is not None:
             _same(folder, "--policy", kind.of_policy(kept.settings, self.policy), kept.settings)
         if self.set:

@@ -6,9 +6,10 @@ import base64
 import json
 import re
 from pathlib import PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mkdocs.structure.files import File, Files
+if TYPE_CHECKING:
+    from mkdocs.structure.files import Files
 
 _SUFFIX = {"image/png": "png", "image/gif": "gif"}
 
@@ -54,6 +55,8 @@ def _shown(output: dict[str, Any], stem: str, pictures: dict[str, bytes]) -> lis
 
 def on_files(files: Files, config: Any, **_: Any) -> Files:
     """Add a page and its pictures for every notebook; the notebook stays, to be downloaded."""
+    from mkdocs.structure.files import File  # tests turn notebooks into pages where there is no mkdocs
+
     for file in [f for f in files if f.src_uri.endswith(".ipynb")]:
         path = PurePosixPath(file.src_uri)
         page, pictures = page_of(json.loads(file.content_string), path.stem)

@@ -5,13 +5,14 @@ of the same kind. An entry that fits no test is an error.
 """
 
 _SEARCH = "a whole search (10 to 100 s); make test keeps a null, a hidden drag found and shown, and the real pendulum"
-_REAL = "a real recording (6 s each; silverbox minutes); make test keeps the pendulum, the arm and a tree"
+_REAL = "a real recording (6 s each; silverbox more); make test keeps the pendulum, the arm and a tree"
 _LAWS = "compiles a contact kernel of its own with laws (15 to 40 s); make test keeps the one with five laws in 8 lanes"
 _CHAINS = "long chains against known moments; make test keeps SVGD and one case of each chain"
 _KILLED = "kills and repeats a command of half a minute; make test keeps killed trainings"
 _OTHER = "the same as one that make test keeps, on another scene or width"
 _PAGES = "compiles kernels or trains for an example of a page; make test runs those of README, tour and API"
 _ARM_RUNS = "a run on a twin in real time (10 s and more); make test keeps the same faults on a clock of its own"
+_CAMERAS = "processes of their own (1 s of CPU each); make test keeps a frozen camera and a killed segmenter"
 _TUTORIALS = "a whole tutorial (15 to 40 s of CPU); make test turns all into pages, runs the API's examples"
 _GALLERY = "a block of the gallery (3 to 8 s of CPU); make test runs the one with four species"
 _GPU = "compiles a large kernel for a GPU; make test keeps the plain step and the one with laws in float32"
@@ -29,12 +30,19 @@ LONG = {
     "cli/test_identify_story.py::test_cross_validation": "three posteriors; folds are tested apart",
     "cli/test_model_story.py::test_known_effects_act_while_springs_are_learnt": "a posterior with effects, 14 s",
     "cli/robots/test_new_case_story.py::test_a_gauge_and_a_tape_measure_have_a_verdict": _SEARCH,
+    "cli/robots/test_probe_story.py::test_a_killed_probing_goes_on_and_loses_nothing": "90 s of real time",
+    "cli/robots/test_probe_story.py::test_a_stop_ends_it_with_its_cause": "25 s; a stepped arm stays",
     "cli/robots/test_run_story.py::test_a_run_that_is_killed": _ARM_RUNS,
     "cli/robots/test_run_story.py::test_a_full_disk": _ARM_RUNS,
     "cli/robots/test_run_story.py::test_a_camera_that_fails": _ARM_RUNS,
     "cli/robots/test_robot_story.py::test_a_client_that_is_killed_leaves_the_arm_standing[http]": "as on the stream",
     "cli/robots/test_robot_story.py::test_a_robot_behind_rosbridge": "8 s; make test keeps both drivers in one process",
     "cli/robots/test_robot_story.py::test_commands_over_the_limits_are_cut": "the guard's properties stay",
+    "learn/cameras/test_pipeline.py::test_a_camera_that_freezes[silent_at]": _CAMERAS,
+    "learn/cameras/test_pipeline.py::test_a_process_that_is_killed[camera]": _CAMERAS,
+    "learn/cameras/test_pipeline.py::test_a_process_that_is_killed[clouds]": _CAMERAS,
+    "learn/cameras/test_pipeline.py::test_key_frames_alone": _CAMERAS,
+    "learn/cameras/test_vision.py::test_pictures_become_clouds": "two more processes that import transformers (8 s)",
     "cli/test_plugins_story.py::test_a_package_s_probe": "a whole diagnosis (20 s); make test keeps what info tells",
     "cli/test_simulate_story.py::test_a_strange_mjcf_moves_as_in_mujoco[1]": _OTHER,
     "cli/test_simulate_story.py::test_a_strange_mjcf_moves_as_in_mujoco[4]": _OTHER,
@@ -49,6 +57,7 @@ LONG = {
     "learn/exam/test_joint_exam.py::test_a_loop_measured_by_torques_is_one_effect": _SEARCH,
     "learn/exam/test_joint_exam.py::test_a_spring_behind_a_diode_has_no_name": _SEARCH,
     "learn/gap/test_gap.py::test_nothing_hidden_is_called_none[0.01-2]": _SEARCH,
+    "learn/gap/test_gap.py::test_nothing_hidden_is_called_none[0.03-3]": _SEARCH,
     "learn/gap/test_gap.py::test_nothing_hidden_is_called_none[0.05-2]": _SEARCH,
     "learn/gap/test_gap.py::test_hidden_effect_is_named": _SEARCH,
     "learn/gap/test_gap.py::test_a_gust_is_found_beside_what_hides_it": _SEARCH,
@@ -62,7 +71,7 @@ LONG = {
     "learn/gap/test_joint_intervals.py::test_intervals_hold_the_truth[False-40": "40 fits, a minute; eight stay",
     "learn/gap/test_joint_intervals.py::test_intervals_hold_the_truth[True-40": "40 fits, a minute; eight stay",
     "learn/gap/test_gap_nested.py::test_a_false_minimum_of_the_base_raises_no_alarm": _SEARCH,
-    "learn/gap/test_gap_nested.py::test_no_model_is_worse_than_one_nested_in_it_in_sixty": "make test keeps ten",
+    "learn/gap/test_gap_nested.py::test_no_model_is_worse_than_one_nested_in_it_in_hundreds": "200 cases, minutes",
     "learn/gap/test_gap_real.py::test_silverbox_stiffens": _REAL,
     "learn/gap/test_gap_real.py::test_trees_yield_or_have_hysteresis[5]": _REAL,
     "learn/gap/test_gap_real.py::test_trees_yield_or_have_hysteresis[6]": _REAL,

@@ -27,6 +27,8 @@ GALLERY = remake.blocks_of_the_gallery()
 
 #: Options that pages show with a command and that no test gives it, with the reason.
 NOT_RUN = {
+    ("robot serve", "--scene"): "typed by cli/robots/test_run_story.py, through an oracle that types the rest",
+    ("run", "--calibration"): "belongs to a real camera; learn/cameras/test_sources.py reads such files",
     ("reproduce", "--preset"): "half an hour and more a policy; bough train runs the presets",
 }
 
@@ -115,7 +117,7 @@ def shown_commands() -> list[tuple[str, str]]:
         found += [("README.md", command) for command in re.findall(r"`([^`]+)`", row)]
     pattern = re.compile(r"^(?:\.venv/bin/|torchrun .*-m )?bough (?!--)(.*)$")
     matches = [(page, pattern.match(line)) for page, line in found]
-    return [(page, match[1].split("#")[0].rstrip(" &>")) for page, match in matches if match]
+    return [(page, re.split(r"#| \| ", match[1])[0].rstrip(" &>")) for page, match in matches if match]
 
 
 COMMANDS = shown_commands()

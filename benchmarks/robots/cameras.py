@@ -1,7 +1,8 @@
 """Clouds from simulated cameras beside the kernel's own sampling: distances, embeddings, occlusion, what leaves do.
 
 Scenes are those of the power-line task's tests, half of them as they begin, half after three seconds of random motion.
-One, two and three D405s (424 x 240 pixels, `sim.cameras`) look at each; masks are told by colour, the arm is cut out
+One, two and three D405s (424 x 240 pixels, `sim.cameras`) look at each, the third at the trunk;
+masks are told by colour, the arm is cut out
 with its own model, points are thinned and 512 of them drawn, as `learn.cameras` does. The kernel draws its 512 from
 all surfaces, hidden ones too. What two draws of the kernel differ by is the floor. Leaves are those of
 `sim.pictures.foliage`, on the outer links; they hide wood, and their twigs are taken for wood.
@@ -67,12 +68,13 @@ class Views:
 
 
 def eyes(foot: np.ndarray, line: np.ndarray) -> list[Pinhole]:
-    """Return cameras at the left and the right of the arm and behind it, above, that look at the line's middle."""
+    """Return cameras at the left and the right of the arm that look at the line's middle, and one at the trunk."""
     ahead = foot * [1.0, 1.0, 0.0] / np.linalg.norm(foot[:2])
     side, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
-    target = line - 0.12 * up
-    spots = (0.05 * ahead + 0.75 * side + 0.75 * up, 0.05 * ahead - 0.75 * side + 0.75 * up, -0.35 * ahead + 1.05 * up)
-    return [Pinhole.d405(spot, target) for spot in spots]
+    target, trunk = line - 0.12 * up, foot + 0.55 * up
+    left, right = (0.05 * ahead + sign * 0.75 * side + 0.75 * up for sign in (1.0, -1.0))
+    low = 0.05 * ahead + 0.75 * side + (trunk[2] + 0.15) * up
+    return [Pinhole.d405(left, target), Pinhole.d405(right, target), Pinhole.d405(low, trunk)]
 
 
 def rig_of(cameras: list[Pinhole], ground: float) -> Rig:

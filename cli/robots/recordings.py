@@ -246,6 +246,49 @@ class ImportCase:
 
 
 @dataclass(frozen=True)
+class ImportArm:
+    """Make a case folder of an arm from ROS bags of its free motions: bough diagnose says what its servos' model lacks.
+
+    Joint states with positions are needed, with efforts or beside commanded speeds (Kinova's JointVelocity, or a
+    Float64MultiArray on a topic that is called after a velocity). What was assumed is printed and kept in
+    OUT/assumptions.txt. Needs pip install -e '.[touch]' in bough's folder. Exit code 0: done; 2: bad input, nothing
+    written.
+
+    Attributes:
+        bag: Bags, a recording each; nothing touches the arm in them.
+        out: Case folder to write.
+        arm: The arm, whose joints are those of the joint states in their order.
+        gravity: Whether the efforts hold the arm's own weight (in) or the driver has taken it out; by which leaves less
+            of them if not given.
+        json: Print what was made and assumed as JSON instead of sentences.
+    """
+
+    bag: tyro.conf.Positional[tuple[Path, ...]]
+    out: Path
+    arm: str = "jaco2"
+    gravity: Literal["in", "out"] | None = None
+    json: bool = False
+
+    def run(self) -> int:
+        """Make the case, say what was assumed; return the exit code."""
+        from ...learn.recordings.import_arm import import_arm
+        from ...sim.arms.registry import ARMS
+
+        if not self.bag:
+            raise InputError("import-arm", "BAG", "no file", "one or more ROS bags")
+        arm = ARMS.of(self.arm, "import-arm", "--arm")
+        case, notes = import_arm(self.bag, self.out, arm, self.arm, self.gravity)
+        if not self.json:
+            for note in notes:
+                print(f"- {note}")
+        seconds = sum(float(t.t[-1]) for t in case.trajectories)
+        said = (f"{len(case.trajectories)} recordings of {len(case.joints)} joints, {seconds:.0f} s in all. "
+                f"Go on with bough diagnose {shown(self.out)} --out DIR.")  # fmt: skip
+        tell(said, {"case": str(self.out), "recordings": len(case.trajectories), "assumed": notes}, self.json)
+        return ExitCode.DONE
+
+
+@dataclass(frozen=True)
 class Record:
     """Record an arm behind bough robot serve into a ROS 2 bag, 60 joint states and hand poses a second, until Ctrl-C.
 

@@ -32,7 +32,8 @@ class Serve:
 
     Attributes:
         out: Folder for the log; it must not hold one yet.
-        backend: The twin is bough's own Jaco 2 before a tree, in real time; rosbridge is a robot.
+        backend: The twin is bough's own Jaco 2 before a tree, in real time; branch is one that grasps a branch to be
+            measured (bough probe), and writes branch.yaml beside the log; rosbridge is a robot.
         wrist: Of the Jaco 2.
         host: Address to listen at. Anything but this machine itself needs --token-file.
         port: Port to listen at; 0 takes any that is free.
@@ -44,10 +45,12 @@ class Serve:
         touch: model.npz that bough touch train wrote: the arm stops above the limits' probability of touch.
         scene: What the twin holds: powerline or reach, an unseen test world of the task (bough evaluate's), or the
             folder of a run, for that of its task. Needs the extra train. A tree as of reach if none is given.
-        seed: Of the twin's tree and where it stands.
+        seed: Of the twin's tree and where it stands, or of its branch.
+        segments: Of the branch.
         away: How much further off the twin's tree stands [m]; 10 leaves the arm alone.
         effect: A hidden effect of the twin's branches, NAME:PARAMETER=VALUE[,PARAMETER=VALUE...] in SI units, such as
-            dry_friction:torque_Nm=0.05; once for each effect.
+            dry_friction:torque_Nm=0.05; once for each effect. Of a branch NAME[:joint=J][,size=S], such as
+            dry_friction:joint=1,size=0.2; the size is the change of the motion over its rms.
         rosbridge: HOST:PORT of rosbridge.
         driver: What is behind rosbridge.
         robot_name: The robot's name in Kinova's driver.
@@ -55,7 +58,7 @@ class Serve:
     """
 
     out: Path
-    backend: Literal["twin", "rosbridge"] = "twin"
+    backend: Literal["twin", "branch", "rosbridge"] = "twin"
     wrist: Wrist = "curved"
     host: str = "127.0.0.1"
     port: int = 3738
@@ -66,6 +69,7 @@ class Serve:
     touch: Path | None = None
     scene: str | None = None
     seed: int = 0
+    segments: int = 3
     away: float = 0.0
     effect: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     rosbridge: str = "127.0.0.1:9090"
@@ -96,7 +100,7 @@ class Serve:
             warn(f"{self.host} without --certificate: the token can be read on its way")
         start_warp()
         feeler = self._feeler(arm)
-        armed = self.backend == "twin"
+        armed = self.backend != "rosbridge"
         serve(lambda: self._arm(arm), arm, limits, address, self.out, armed=armed, feeler=feeler, ready=self._said)
         print(f"The arm stands still. Every tick is in {shown(self.out)}/ticks.csv", flush=True)
         return ExitCode.DONE
@@ -120,6 +124,8 @@ class Serve:
             if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
                 raise InputError("robot serve", "--rosbridge", f"'{self.rosbridge}'", "HOST:PORT")
             return RosBridge(arm, host, int(port), self.driver, name=self.robot_name, joints=self.joints)
+        if self.backend == "branch":
+            return self._branch(arm)
         if self.scene is not None:
             from ...learn.deploy.stage import Stage, scene_plan
 
@@ -129,8 +135,19 @@ class Serve:
 
         return Twin(arm, seed=self.seed, away=self.away, effects=read_effects(self.effect))
 
+    def _branch(self, arm: Arm) -> Backend:
+        from ...learn.robot.twin_branch import BranchTwin, read_hidings
+
+        if not 1 <= self.segments <= 6:
+            raise InputError("robot serve", "--segments", str(self.segments), "1 to 6")
+        hidings = read_hidings(self.effect, self.segments)
+        twin = BranchTwin(arm, seed=self.seed, segments=self.segments, hidings=hidings)
+        self.out.mkdir(parents=True, exist_ok=True)
+        twin.write_structure(self.out / "branch.yaml")
+        return twin
+
     def _said(self, url: str) -> None:
-        armed = "armed" if self.backend == "twin" else 'not armed yet: POST /arm with {"stop": 1}'
+        armed = "armed" if self.backend != "rosbridge" else 'not armed yet: POST /arm with {"stop": 1}'
         print(f"Serving {url} ({self.backend}, {armed}). Ctrl-C ends", flush=True)
 
 

@@ -9,11 +9,11 @@ at p_j with axis z_j, the joint-space inertia is (composite rigid bodies; Feathe
 and a step of length h is implicit in the servo, the joints' friction and the stops:
 
     A v' = (M + R) v + h (tau_0 - b - g + sum J^T f),   A = M + R + h D = L L^T
-    tau = g + D (v* - v')   within +-tau_max
+    tau = (1 - e) g + D (v* - v')   within +-tau_max
 
-R the reflected rotor inertia, b the velocity products, g the torque that carries the weight (the servo knows it). A
-joint whose torque would leave its limit gives the limit, and its D does not count. f are the contacts' forces, which
-are found together with those of the branches (`space`).
+R the reflected rotor inertia, b the velocity products, g the torque that carries the weight (the servo knows it, but
+for a share e), v* the target speed of so many substeps ago. A joint whose torque would leave its limit gives the limit,
+and its D does not count. f are the contacts' forces, which are found together with those of the branches (`space`).
 """
 
 from functools import cache
@@ -67,6 +67,8 @@ class Arm:
     damping: wp.array(dtype=wp.float32)
     gain: wp.array(dtype=wp.float32)
     friction: wp.array(dtype=wp.float32)
+    weight_error: wp.array(dtype=wp.float32)
+    late: wp.array(dtype=int)
     torque_limit: wp.array(dtype=wp.float32)
     speed_limit: wp.array(dtype=wp.float32)
     lower: wp.array(dtype=wp.float32)
@@ -85,12 +87,18 @@ class Arm:
 
 @wp.struct
 class ArmState:
-    """What a user reads and writes, [worlds, dof] or [worlds]."""
+    """What a user reads and writes, [worlds, dof] or [worlds].
+
+    ``waiting`` [slots, worlds, dof] holds the last targets, ``beat`` is the next slot, ``obeyed`` the target in force.
+    """
 
     q: wp.array2d(dtype=wp.float32)
     qd: wp.array2d(dtype=wp.float32)
     torque: wp.array2d(dtype=wp.float32)
     target: wp.array2d(dtype=wp.float32)
+    obeyed: wp.array2d(dtype=wp.float32)
+    waiting: wp.array3d(dtype=wp.float32)
+    beat: wp.array(dtype=int)
     force: wp.array2d(dtype=wp.vec3)
     end_position: wp.array(dtype=wp.vec3)
     end_rotation: wp.array(dtype=wp.vec4)
@@ -412,10 +420,21 @@ def beyond(q: float, lower: float, upper: float):
 
 
 @wp.func(inline=True)
+def obey(w: int, a: Any, x: Any):
+    """Note the targets of this substep, and take up those of as many substeps ago as each joint is late."""
+    slots = x.waiting.shape[0]
+    now = x.beat[w]
+    for j in range(x.target.shape[1]):
+        x.waiting[now % slots, w, j] = x.target[w, j]
+        x.obeyed[w, j] = x.waiting[(now + slots - a.late[j]) % slots, w, j]
+    x.beat[w] = (now + 1) % slots
+
+
+@wp.func(inline=True)
 def command(w: int, a: Any, x: Any, j: int, h: float):
     """Velocity target within the speed limit, and slowing so that a joint comes to rest at its stop, not beyond."""
     limit = a.speed_limit[j]
-    v = wp.clamp(x.target[w, j], 0.0 - limit, limit)
+    v = wp.clamp(x.obeyed[w, j], 0.0 - limit, limit)
     reach = 8.0 * h
     return wp.clamp(
         v, wp.min((a.lower[j] - x.q[w, j]) / reach, limit), wp.max((a.upper[j] - x.q[w, j]) / reach, 0.0 - limit)
@@ -424,8 +443,8 @@ def command(w: int, a: Any, x: Any, j: int, h: float):
 
 @wp.func(inline=True)
 def servo(w: int, a: Any, x: Any, j: int, weight: float, speed: float, h: float):
-    """Torque that a joint's servo asks for, before its limit: g + D (v* - v')."""
-    return weight + a.gain[j] * (command(w, a, x, j, h) - speed)
+    """Torque that a joint's servo asks for, before its limit: (1 - e) g + D (v* - v')."""
+    return weight * (1.0 - a.weight_error[j]) + a.gain[j] * (command(w, a, x, j, h) - speed)
 
 
 @wp.func(inline=True)
@@ -449,6 +468,7 @@ def free_arm(w: int, a: Any, x: Any, k: Any, h: float):
         if held[j] == 0.0:
             rest = rest + a.gain[j]
             r[j] = r[j] + h * a.gain[j] * command(w, a, x, j, h)
+            r[j] = r[j] - h * a.weight_error[j] * g[j]
         else:
             r[j] = r[j] + h * (held[j] * a.torque_limit[j] - g[j])
         over = beyond(x.q[w, j], a.lower[j], a.upper[j])

@@ -31,12 +31,16 @@ def reset_arm_kernel(dof: int) -> Any:
                 y_out.qd[w, j] = 0.0
                 y_out.torque[w, j] = 0.0
                 y_out.target[w, j] = 0.0
+                y_out.obeyed[w, j] = 0.0
+                for slot in range(y_out.waiting.shape[0]):
+                    y_out.waiting[slot, w, j] = 0.0
                 y_out.force[w, j] = wp.vec3(0.0, 0.0, 0.0)
                 rule.arm_peak[w, j] = 0.0
             for c in range(rule.branch_force.shape[1]):
                 rule.branch_force[w, c] = wp.vec3(0.0, 0.0, 0.0)
             k_out.held[w] = Row()
             y_out.lost[w] = 0
+            y_out.beat[w] = 0
             rule.count[w] = 0
             rule.forgotten[w] += rule.overflow[w]
             rule.overflow[w] = 0

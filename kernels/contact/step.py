@@ -23,6 +23,7 @@ from .arm import (
     finish_arm,
     free_arm,
     judge_servos,
+    obey,
     place_group,
     push_arm,
     response,
@@ -54,6 +55,7 @@ def set_out(
 ):  # fmt: skip
     """Clear what the last step found in a world, and find what its arm touches beside branches."""
     take_arm(w, row, lane_, k, g)
+    obey(w, a, y)
     rule.count[w] = 0
     rule.depth[w] = 0.0
     rule.unsettled[w] = 0
@@ -61,7 +63,7 @@ def set_out(
     for j in range(y.force.shape[1]):
         y.force[w, j] = wp.vec3(0.0, 0.0, 0.0)
         # the servo may bring a joint to its target within the step
-        speed = speed + wp.max(wp.abs(y.qd[w, j]), wp.abs(y.target[w, j])) * a.reach[j]
+        speed = speed + wp.max(wp.abs(y.qd[w, j]), wp.abs(y.obeyed[w, j])) * a.reach[j]
     for c in range(rule.branch_force.shape[1]):
         rule.branch_force[w, c] = wp.vec3(0.0, 0.0, 0.0)
     note_line(w, row, lane_, a.shape_link.shape[0], rule, touch, speed)

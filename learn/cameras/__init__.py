@@ -1,4 +1,4 @@
 """Cameras: frames, masks, clouds of points for a policy, and the processes between them.
 
-Uses: `sim.base`.
+Uses: `sim.base`, `sim.arms`, `sim.cameras`.
 """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +54,8 @@ def look(source: Source, rig: Rig, segmenter: Segmenter, arm: Arm | None, q: Arr
     """
     taken = _first(source, rig)
     own = next((t.q for t in taken if t.q is not None), q)
+    if arm is not None and own is not None and len(own) != arm.num_dofs:
+        raise InputError("camera", "joints", f"{len(own)} with the pictures", f"{arm.num_dofs}, as the arm has")
     hand = None if arm is None or own is None else forward_kinematics(arm, own)[2]
     body = None if arm is None or own is None else capsules_at(arm, own)
     pictures, parts, shares = [], [], {}
@@ -63,7 +65,8 @@ def look(source: Source, rig: Rig, segmenter: Segmenter, arm: Arm | None, q: Arr
             raise InputError("cameras.yaml", camera.name, "mount: hand, and no joint positions", "joints with pictures")
         frame = Frame(t.time, t.colour, t.depth, t.intrinsics, *pose)
         labels = segmenter.label(frame)
-        points = cloud_of(frame, labels, rig, body)
+        known = rig.ground is None and np.isfinite(t.ground)
+        points = cloud_of(frame, labels, replace(rig, ground=t.ground) if known else rig, body)
         parts.append((t.time, *points))
         pictures.append(masked(frame, labels, body))
         has = frame.depth > 0

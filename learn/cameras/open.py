@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -131,4 +132,5 @@ def twin_rig(bearing: float = -0.785) -> Rig:
         position = 0.1 * ahead + sign * 0.6 * side + 0.75 * up
         rotation: Any = list(looking(position, middle))
         cameras.append(Mounted(name=name, position_m=position.tolist(), rotation=rotation))
-    return plain_rig(cameras)
+    rig = plain_rig(cameras)
+    return replace(rig, box_low=np.array([*rig.box_low[:2], -1.6]))  # trees of a twin begin below its arm

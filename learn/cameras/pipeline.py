@@ -108,7 +108,9 @@ class CameraClouds:
         return "; ".join([late, *told])
 
     def tell(self, time: float, q: Array) -> None:
-        """Take measured joint positions [rad], [D], at a time of `time.monotonic` [s]."""
+        """Take joint positions [rad], [D], measured at a time of `time.monotonic` [s]; ignored without an arm."""
+        if self._board.joints.read_shape("q") == (0,):
+            return
         self._board.joints.write(time=time, q=q)
 
     def close(self) -> None:

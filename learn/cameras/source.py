@@ -35,6 +35,7 @@ class Taken:
         depth: [m], float32 [H, W]; 0 where there is none.
         intrinsics: fx, fy, cx, cy [pixels].
         q: Joint positions then [rad], [D], where the source knows them.
+        ground: Height of the ground [m], where the source knows it and cameras.yaml may not.
     """
 
     camera: int
@@ -43,6 +44,7 @@ class Taken:
     depth: NDArray[np.float32]
     intrinsics: tuple[float, float, float, float]
     q: Array | None = None
+    ground: float = np.nan
 
 
 class Source(Protocol):
@@ -104,7 +106,7 @@ class TwinSource:
                 shot = batch.shoot(scene.world, [self._eye(c, scene.hand_position, scene.hand_rotation)
                                                  for c in self._rig.cameras])  # fmt: skip
                 for k, camera in enumerate(self._rig.cameras):
-                    yield Taken(k, taken, shot.colour[k], shot.depth[k], self._lens(camera))
+                    yield Taken(k, taken, shot.colour[k], shot.depth[k], self._lens(camera), None, scene.world.ground)
                 time.sleep(max(0.0, due - time.monotonic()))
 
     def _connected(self):  # type: ignore[no-untyped-def]  # websockets' own type, where it is installed

@@ -8,7 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -76,11 +76,11 @@ class Board:
     @staticmethod
     def of(sizes: tuple[tuple[int, int], ...], dofs: int, names: tuple[str, ...], *, keyed: bool) -> Board:
         """Allocate for cameras of these sizes, an arm of so many joints and processes of these names."""
-        joints: tuple[int, ...] = (max(dofs, 1),)
+        joints: tuple[int, ...] = (dofs,)
 
         def picture(height: int, width: int, more: dict[str, tuple[str, tuple[int, ...]]]) -> Ring:
             return Ring({"time": ("f8", ()), "colour": ("u1", (height, width, 3)), "depth": ("f4", (height, width)),
-                         "intrinsics": ("f8", (4,)), "q": ("f8", joints)} | more)  # fmt: skip
+                         "intrinsics": ("f8", (4,)), "q": ("f8", joints), "ground": ("f8", ())} | more)  # fmt: skip
 
         pictures = [picture(h, w, {}) for h, w in sizes]
         keys = [picture(h, w, {"labels": ("u1", (h, w))}) for h, w in sizes] if keyed else []
@@ -140,11 +140,24 @@ def take(board: Board, source: Source) -> None:
         else:
             frozen.discard(k)
             last[k] = (taken.colour, taken.depth)
-            q = np.full(board.joints.read_shape("q"), np.nan) if taken.q is None else taken.q
+            q = _joints(board.joints.read_shape("q"), taken.q)
             board.pictures[k].write(time=taken.time, colour=taken.colour, depth=taken.depth,
-                                    intrinsics=taken.intrinsics, q=q)  # fmt: skip
+                                    intrinsics=taken.intrinsics, q=q, ground=taken.ground)  # fmt: skip
         board.say("camera", f"the same picture again and again of camera {sorted(frozen)}" if frozen else "")
     board.say("camera", "the recording is over")
+
+
+def _joints(shape: tuple[int, ...], q: Array | None) -> Array:
+    """Return joint positions as the pictures' ring holds them: no numbers where nobody knows or nobody needs them.
+
+    Raises:
+        InputError: They are another arm's.
+    """
+    if q is None or shape == (0,):
+        return np.full(shape, np.nan)
+    if q.shape != shape:
+        raise InputError("camera", "joints", f"{len(q)} with the pictures", f"{shape[0]}, as the arm has")
+    return q
 
 
 # ---- key frames ------------------------------------------------------------------------------------------------------
@@ -198,14 +211,16 @@ class Clouder:
             return
         frame = Frame(float(row["time"]), row["colour"], row["depth"], tuple(row["intrinsics"].tolist()), *pose)
         body = None if self._arm is None or q is None else capsules_at(self._arm, q)
-        self._parts[camera] = (frame.time, *cloud_of(frame, labels, self._rig, body))
+        known = self._rig.ground is None and np.isfinite(row["ground"])
+        rig = replace(self._rig, ground=float(row["ground"])) if known else self._rig
+        self._parts[camera] = (frame.time, *cloud_of(frame, labels, rig, body))
         if len(self._parts) == len(self._rig.cameras):
             self._board.say("clouds", "")
             self._write()
 
     def _joints(self, row: dict[str, Any]) -> Array | None:
         """Return joint positions at a picture's time: the source's own, or the nearest that were told."""
-        if np.isfinite(row["q"]).all():
+        if row["q"].size and np.isfinite(row["q"]).all():
             return np.asarray(row["q"])
         told = self._board.joints.history()
         if not len(told):

@@ -165,14 +165,19 @@ def load_case(folder: str | Path) -> BranchCase | JointCase:
             itself or states what cannot be (see `schema`, `columns` and the checks in this module).
     """
     place = Path(folder)
-    meta, file = read_meta(_meta_path(place))
-    _check_trajectories(meta, file)
+    meta, file = read_meta(meta_path(place))
+    check_trajectories(meta, file)
     if isinstance(meta, BranchMeta):
         return _load_branch(place, meta, file)
+    if meta.mechanism.arm is not None:
+        raise file.error(["mechanism", "arm"], "the recordings of an arm", "bough diagnose, or joints or mjcf here")
+    if meta.commands is not None:
+        raise file.error(["commands"], "commands without an arm", "mechanism: {arm: NAME, weight: in or out}")
     return _load_joints(place, meta, file)
 
 
-def _meta_path(folder: Path) -> Path:
+def meta_path(folder: Path) -> Path:
+    """Return the ``meta.yaml`` of a case folder; raise `InputError` where there is none."""
     allowed = "a case folder with meta.yaml and CSV files"
     try:
         names = sorted(item.name for item in folder.iterdir())
@@ -187,7 +192,7 @@ def _meta_path(folder: Path) -> Path:
     return folder / "meta.yaml"
 
 
-def _check_trajectories(meta: BranchMeta | JointMeta, file: YamlFile) -> None:
+def check_trajectories(meta: BranchMeta | JointMeta, file: YamlFile) -> None:
     """Check what both forms share: files inside the folder and used once, replicates of earlier recordings."""
     if isinstance(meta.time_column, list) and meta.time_scale is not None:
         raise file.error(["time_scale"], "a scale beside two columns", "none: they are seconds and nanoseconds")
@@ -437,7 +442,7 @@ def _no_contact(t: Array, intervals: list[list[float]], file: YamlFile, index: i
 
 def _load_joints(folder: Path, meta: JointMeta, file: YamlFile) -> JointCase:
     check_joint_meta(meta, file, folder)
-    loaded = [_joint_trajectory(folder, meta, item) for item in meta.trajectories]
+    loaded = [joint_trajectory(folder, meta, item) for item in meta.trajectories]
     dt = max(loaded, key=lambda pair: len(pair[0].t))[1]
     for (trajectory, own), item in zip(loaded, meta.trajectories, strict=True):
         if abs(own - dt) * len(trajectory.t) > 0.5 * dt:
@@ -471,7 +476,7 @@ def _check_span(path: Path, column: str, values: Array) -> None:
 LARGEST = 1.0e15
 
 
-def _joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) -> tuple[JointTrajectory, float]:
+def joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) -> tuple[JointTrajectory, float]:
     """Read one recording; return it and its own time step [s]."""
     inputs = meta.input or []
     names = tuple(dict.fromkeys([*(i.column for i in inputs), *(o.column for o in meta.outputs)]))

@@ -108,14 +108,24 @@ class JointSpecMeta(Strict):
 
 
 class MechanismMeta(Strict):
-    """Either a list of joints or an MJCF file beside ``meta.yaml`` and what is unknown of it."""
+    """A list of joints, an MJCF file beside ``meta.yaml`` and what is unknown of it, or a known arm by its name.
 
+    ``weight`` says of an arm whether its torques hold the arm's own weight (``in``) or not (``out``).
+    """
+
+    arm: str | None = None
+    weight: Literal["in", "out"] | None = None
     joints: Annotated[list[JointSpecMeta], Field(min_length=1)] | None = None
     mjcf: str | None = None
     unknown: Annotated[list[str], Field(min_length=1)] | None = None
 
     @model_validator(mode="after")
     def _one_of_two(self) -> MechanismMeta:
+        if self.arm is not None:
+            self._of_arm()
+            return self
+        if self.weight is not None:
+            raise PydanticCustomError("mechanism", "weight beside arm only", {"found": "weight without arm"})
         if (self.joints is None) == (self.mjcf is None):
             found = "neither joints nor mjcf" if self.joints is None else "both joints and mjcf"
             raise PydanticCustomError("mechanism", "exactly one of joints, mjcf", {"found": found})
@@ -123,6 +133,16 @@ class MechanismMeta(Strict):
             found = "unknown beside joints"
             raise PydanticCustomError("mechanism", "null in a joint's own keys, unknown beside mjcf", {"found": found})
         return self
+
+    def _of_arm(self) -> None:
+        beside = [k for k in ("joints", "mjcf", "unknown") if getattr(self, k) is not None]
+        if beside:
+            found = f"{beside[0]} beside arm"
+            raise PydanticCustomError("mechanism", "arm alone, with weight: in or out", {"found": found})
+        if self.weight is None:
+            found = "arm without weight"
+            allowed = "weight: out where the driver takes the arm's weight out of the torques, in where they hold it"
+            raise PydanticCustomError("mechanism", allowed, {"found": found})
 
 
 class InputMeta(Strict):
@@ -147,6 +167,14 @@ class OutputMeta(Strict):
     column: str = Field(min_length=1)
     scale: float
     offset: float = 0.0
+
+
+class CommandMeta(Strict):
+    """The column of a joint's commanded speed, scale * column [rad/s]: the mean since the row before."""
+
+    joint: str
+    column: str = Field(min_length=1)
+    scale: float
 
 
 class JointTrajectoryMeta(Strict):
@@ -175,6 +203,7 @@ class JointMeta(Strict):
     resample_hz: Annotated[float, Field(gt=0, le=1e6)] | None = None
     mechanism: MechanismMeta
     input: Annotated[Annotated[list[InputMeta], Field(min_length=1)] | None, BeforeValidator(_listed)]
+    commands: Annotated[list[CommandMeta], Field(min_length=1)] | None = None
     outputs: list[OutputMeta] = Field(min_length=1)
     fit: Literal["replay", "torque"] | None = None
     filter_hz: Positive | None = None

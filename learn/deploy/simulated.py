@@ -111,7 +111,7 @@ class SimulatedTwin:
         stop = self.guard.stop
         number, cause = (0, "") if stop is None else (stop.number, stop.cause)
         return State(self._number, self.now, self.now, s.q, s.qd, s.torque, s.hand_position, s.hand_rotation, 0.0,
-                     "stopped" if number else "ready", number, cause, {})  # fmt: skip
+                     "stopped" if number else "ready", number, cause, {}, s.gripper, s.force, s.tag)  # fmt: skip
 
     # ---- the truth ---------------------------------------------------------------------------------------------------
 

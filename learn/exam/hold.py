@@ -40,7 +40,8 @@ def hold(
     """Hold an exam and return its table; see `cli.diagnose.Exam`.
 
     Raises:
-        InputError: A number cannot be.
+        InputError: A number cannot be, or ``out`` holds cases of another exam.
+        ChildProcessError: The process of a case was killed.
     """
     for name, value, low in (("cases", cases, 1), ("jobs", jobs, 1)):
         if value < low:

@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from ...sim.base.types import Array
+from ...sim.trees.measured import MeasuredBranch
 from ..cases.case import BranchCase
 from ..replay.probes import PROBES, ArmProbe
 from ..replay.recording import Recording
@@ -110,7 +111,7 @@ def recordings_of(case: BranchCase, before: Sequence[Recording], probe: ArmProbe
     largest = max(float(np.linalg.norm(r.input, axis=1).max()) for r in before)
     longest = max(float(r.t[-1]) for r in before)
     begin = max(r.t_start + float(r.t[-1]) for r in before) + longest
-    axes = _axes(case)
+    axes = push_axes(case)
     out: list[Recording] = []
     for push in probe.pushes:
         t = np.arange(0.0, push.length * longest, case.dt)
@@ -123,8 +124,8 @@ def recordings_of(case: BranchCase, before: Sequence[Recording], probe: ArmProbe
     return out
 
 
-def _axes(case: BranchCase) -> Array:
-    """Directions [3, 3] at the held segment: across it in its own plane, across that plane, and along it."""
+def push_axes(case: MeasuredBranch) -> Array:
+    """Return directions [3, 3] at the held segment: across it in its own plane, across that plane, and along it."""
     up, turn = case.elevation[case.grasp_segment], case.azimuth[case.grasp_segment]
     along = np.array([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
     across = np.array([-np.sin(turn), np.cos(turn), 0.0])

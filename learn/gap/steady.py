@@ -68,7 +68,9 @@ def steadied(base: Base, searched: Searched, decision: Decision, run: Run) -> De
     kept, changes = decision.model.members if decision.verdict == "effects" else (), []
     for variant in variants(case):
         again, fitted = _again(base, searched, decision, variant, run)
-        lost = [c for c in kept if again.verdict != "none" and not _held(fitted, again.model, _name(searched, c))]
+        less = len(variant.recordings) < len(case.trajectories) and shows_less(fitted, again.model, decision.model)
+        lost = [c for c in kept if not (less or again.verdict == "none"
+                                        or _held(fitted, again.model, _name(searched, c)))]  # fmt: skip
         if lost or (again.verdict == "effects" and not decision.named):
             changes.append(f"{variant.what} gives {' and '.join(fitted.names(again.model))}")
         kept = tuple(c for c in kept if c not in lost)
@@ -82,6 +84,17 @@ def _held(fitted: FittedModels, model: Model, name: str) -> bool:
     """
     others = [m for m in fitted.of_size(len(model.members)) if name in fitted.names(m)]
     return any(fitted.explained(m) > fitted.explained(model) - CLEARLY for m in others)
+
+
+def shows_less(fitted: FittedModels, found: Model, own: Model) -> bool:
+    """Return whether a part of the recordings names fewer effects than all do, others none, and fits better with all.
+
+    A second effect that a part shows little of is not worth a name there; that takes nothing from it.
+    """
+    whole = next((m for m in fitted.models if set(m.members) == set(own.members)), None)
+    if whole is None or not set(found.members) < set(own.members):
+        return False
+    return fitted.criterion(whole) < fitted.criterion(found)
 
 
 def _name(searched: Searched, candidate: int) -> str:

@@ -78,12 +78,85 @@ def drive(
     clock = np.zeros(len(forces)) if clock is None else clock
     made = _assemble(branch, parts, options)
     laws = [part.law() for part in parts if part.law]
-    windy = any(part.settled or part.wind is not None for part in parts)
+    windy = _windy(parts)
     if not laws:
         return _by_mujoco(made, forces, rate, _rested(made, [], 1)[0] if windy else made.data)
     if not any(law.lasting for law in laws):
         return _march(made, forces, rate, laws, clock, _rested(made, laws, 1) if windy else [made.data])
     return _one_by_one(made, forces, rate, laws, clock, windy)
+
+
+def _windy(parts: Sequence[Part]) -> bool:
+    """Return whether the branch rests elsewhere than without its effects."""
+    return any(part.settled or part.wind is not None for part in parts)
+
+
+class Live:
+    """A branch with effects that is stepped as time goes by, under a force at its grasp point.
+
+    `drive` runs a plan; here nobody knows the force beforehand, such as that of a hand that moves the point.
+
+    Attributes:
+        time: On the absolute clock [s].
+        step: Of one call of `advance` [s].
+    """
+
+    def __init__(self, branch: Branch, parts: Sequence[Part] = (), *, step: float = 1e-3, **options: Any) -> None:
+        """Compile the branch and let it come to rest.
+
+        Args:
+            branch: The branch.
+            parts: What is hidden; what they do to readings is the caller's.
+            step: [s].
+            **options: Of `rig.build`.
+        """
+        made = _assemble(branch, parts, options | {"dt": step})
+        self.time, self.step = 0.0, step
+        self._laws = [part.law() for part in parts if part.law]
+        self._origin = made.data.sensordata[:3].copy()
+        data = _rested(made, self._laws, 1)[0] if _windy(parts) else made.data
+        model = copy.copy(made.model)
+        self._now = Now(Rig(branch, model, made.data, made.joints, made.frames), [copy.copy(data)], step)
+        self._wind = model.opt.wind.copy()
+        self._mujoco, _ = engine()
+        self._mujoco.mj_forward(model, self._data)
+        for law in self._laws:
+            law.begin(self._now)
+
+    @property
+    def _data(self) -> Any:
+        return self._now.datas[0]
+
+    def advance(self, force: Array) -> None:
+        """Step once under a force at the grasp point, world axes [N], [3]."""
+        now, data, model = self._now, self._data, self._now.rig.model
+        now.time, now.force = np.array([self.time]), force[None]
+        gusts = [blown for law in self._laws if (blown := law.gust(now.time)) is not None]
+        if gusts:
+            model.opt.wind = self._wind + _thinned(model) * np.sum(gusts, axis=0)[0]
+        self._mujoco.mj_step1(model, data)
+        now.clear()
+        for law in self._laws:
+            law.act(now)
+        data.ctrl[:], data.qfrc_applied[:] = now.push[0] + force, now.torque[0]
+        data.xfrc_applied[now.rig.held, 3:], data.xfrc_applied[:, :3] = now.couple[0], now.wash[0]
+        self._mujoco.mj_step2(model, data)
+        self.time += self.step
+
+    @property
+    def moved(self) -> Array:
+        """Displacement of the grasp point from its calm rest position at the start of the last step [m], [3]."""
+        return np.asarray(self._data.sensordata[:3] - self._origin)
+
+    @property
+    def velocity(self) -> Array:
+        """Velocity of the grasp point at the start of the last step [m/s], [3]."""
+        return np.asarray(self._data.sensordata[3:6].copy())
+
+    @property
+    def astray(self) -> bool:
+        """Whether the branch has left the finite."""
+        return any(self._data.warning[kind].number for kind in _astray(self._mujoco))
 
 
 def _assemble(branch: Branch, parts: Sequence[Part], options: dict[str, Any]) -> Rig:

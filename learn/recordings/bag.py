@@ -20,7 +20,7 @@ from ...sim.base.extras import install_hint
 from ...sim.base.rotation import quat_multiply, quat_rotate
 from ...sim.base.types import Array
 
-StreamKind = Literal["joints", "wrench", "scale", "pose"]
+StreamKind = Literal["joints", "wrench", "scale", "pose", "command"]
 _KINDS: dict[str, StreamKind] = {
     "sensor_msgs/msg/JointState": "joints",
     "geometry_msgs/msg/WrenchStamped": "wrench", "geometry_msgs/msg/Wrench": "wrench",
@@ -28,6 +28,7 @@ _KINDS: dict[str, StreamKind] = {
     **{f"geometry_msgs/msg/{name}": "pose" for name in ("Pose", "PoseStamped", "PoseWithCovarianceStamped",
                                                         "PointStamped", "TransformStamped")},
     "nav_msgs/msg/Odometry": "pose",
+    "kinova_msgs/msg/JointVelocity": "command", "std_msgs/msg/Float64MultiArray": "command",
 }  # fmt: skip
 _FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 #: Shortest stream that is used.
@@ -44,7 +45,7 @@ class Stream:
         frame: Frame of the numbers, may be empty.
         time: Times of the headers [s], length T.
         arrived: Times of arrival in the bag [s], length T.
-        values: Rows: positions of joints, force [N], reading, position [m].
+        values: Rows: positions of joints, force [N], reading, position [m], commanded speeds [rad/s].
         turns: Quaternions w, x, y, z of poses; efforts of joint states [N m].
         names: Names of joints.
     """
@@ -112,7 +113,7 @@ def read_bag(path: Path) -> Bag:
     store = get_typestore(Stores.ROS1_NOETIC if path.suffix == ".bag" else Stores.ROS2_HUMBLE)
     try:
         with AnyReader([path], default_typestore=store) as reader:
-            wanted = [c for c in reader.connections if c.msgtype in _KINDS or c.msgtype in _FRAMES]
+            wanted = [c for c in reader.connections if _known(c)]
             begin = reader.start_time if wanted else 0
             for connection, stamp, raw in reader.messages(connections=wanted) if wanted else ():
                 message = reader.deserialize(raw, connection.msgtype)
@@ -127,6 +128,13 @@ def read_bag(path: Path) -> Bag:
         if stream.name.startswith("tf:"):
             _to_root(stream, fixed)
     return Bag(path, streams)
+
+
+def _known(connection: Any) -> bool:
+    """Return whether messages are read; an array is a command on a topic that is called after a velocity."""
+    if connection.msgtype.endswith("/Float64MultiArray"):
+        return "velocity" in connection.topic
+    return connection.msgtype in _KINDS or connection.msgtype in _FRAMES
 
 
 def _file_of(path: Path) -> Path:
@@ -160,6 +168,8 @@ def _take(streams: dict[str, Stream], connection: Any, message: Any, stamp: int,
         stream.add(time, arrived, _xyz(getattr(message, "wrench", message).force), ())
     elif kind == "scale":
         stream.add(time, arrived, [message.data], ())
+    elif kind == "command":
+        stream.add(time, arrived, _asked(message), ())
     else:
         stream.add(time, arrived, *_pose(message))
 
@@ -172,6 +182,12 @@ def _take_joints(stream: Stream, time: float, arrived: float, message: Any) -> N
     stream.names = names
     effort = message.effort if len(message.effort) > max(use) else np.full(max(use) + 1, np.nan)
     stream.add(time, arrived, np.asarray(message.position)[use], np.asarray(effort)[use])
+
+
+def _asked(message: Any) -> list[float]:
+    """Return commanded joint speeds [rad/s]: Kinova's messages are in degrees a second."""
+    named = [f"joint{k}" for k in range(1, 8) if hasattr(message, f"joint{k}")]
+    return [float(np.deg2rad(getattr(message, k))) for k in named] if named else [float(v) for v in message.data]
 
 
 def _pose(message: Any) -> tuple[list[float], list[float]]:

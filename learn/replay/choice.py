@@ -98,10 +98,9 @@ def missing(case: JointCase) -> str | None:
 
 def _by_data(case: JointCase) -> Choice:
     """Return how a case with every position and effort is fitted, with the slowest filter that its motion passes."""
-    filters = (replace(case, filter_hz=share * case.filter_hz) for share in FILTERS)
-    passed = next((x for x in filters if roughness(x) is None), None)
+    passed, rough = _filtered(case)
     if passed is None:
-        return _chosen(case, "replay", f"every position and effort was measured, but {roughness(case)}")
+        return _chosen(case, "replay", f"every position and effort was measured, but {rough}")
     life, length = life_of_errors(case), float(np.median([t.t[-1] for t in case.trajectories]))
     lives = f"an error of the model lives {life:.2g} s in recordings of {length:.2g} s"
     if life < LONG * length:
@@ -113,21 +112,59 @@ def _chosen(case: JointCase, fit: Fit, reason: str) -> Choice:
     return Choice(replace(case, fit=fit), reason, _other(fit))
 
 
+def _filtered(case: JointCase) -> tuple[JointCase | None, str]:
+    """Return a case with the first cut-off that its motion can be differentiated under, or why there is none.
+
+    A faster filter passes faster motion and more noise, so the search ends where a rate is noise.
+    """
+    said = ""
+    for share in FILTERS:
+        trial = replace(case, filter_hz=share * case.filter_hz)
+        unclear = _too_short(trial) or _noisy(trial)
+        said = said or unclear or _hasty(trial) or ""
+        if unclear:
+            break
+        if _hasty(trial) is None:
+            return trial, ""
+    return None, said
+
+
 def roughness(case: JointCase) -> str | None:
     """Return why the measured motion cannot be differentiated under the filter, or None."""
+    return _too_short(case) or _noisy(case) or _hasty(case)
+
+
+def _too_short(case: JointCase) -> str | None:
     if any(len(t.t) < 3 * np.ceil(1.0 / (case.filter_hz * case.dt)) for t in case.trajectories):
         return f"a recording is shorter than three periods of the filter's {case.filter_hz:.3g} Hz"
+    return None
+
+
+def _noisy(case: JointCase) -> str | None:
+    for joint, (rate, noise, _) in _rates_under_filter(case).items():
+        if noise > NOISY * rate:
+            return f"the rate of {joint} is noise under the filter's {case.filter_hz:.3g} Hz"
+    return None
+
+
+def _hasty(case: JointCase) -> str | None:
+    for joint, (rate, _, above) in _rates_under_filter(case).items():
+        if above > FAST * rate:
+            return f"{joint} moves faster than the filter's {case.filter_hz:.3g} Hz"
+    return None
+
+
+def _rates_under_filter(case: JointCase) -> dict[str, tuple[float, float, float]]:
+    """Return of every joint the rms rate under the filter, its noise, and the rate above the filter beyond noise."""
     sigma = estimate_noise(case).sigma
     motion = np.concatenate([r.input for r in torque_recordings(case)])
+    found = {}
     for k, joint in enumerate(case.joints):
-        rate = float(motion[:, 3 * k + 1].std())
         columns = {o.quantity: c for c, o in enumerate(case.outputs) if o.joint == joint.name}
         noise = sigma[columns["position"]] * 2.0 * np.pi * case.filter_hz / np.sqrt(3.0)
-        if min(noise, sigma[columns["velocity"]] if "velocity" in columns else np.inf) > NOISY * rate:
-            return f"the rate of {joint.name} is noise under the filter's {case.filter_hz:.3g} Hz"
-        if _above(case, columns["position"]) - noise > FAST * rate:
-            return f"{joint.name} moves faster than the filter's {case.filter_hz:.3g} Hz"
-    return None
+        least = min(noise, sigma[columns["velocity"]] if "velocity" in columns else np.inf)
+        found[joint.name] = float(motion[:, 3 * k + 1].std()), least, _above(case, columns["position"]) - noise
+    return found
 
 
 def _above(case: JointCase, column: int) -> float:

@@ -17,7 +17,7 @@ from ...sim.base.extras import install_hint
 from .guard import Command, Reply
 from .log import Tick
 from .service import Service
-from .wire import LARGEST, Ask, Episode, Rearm, UnreadableError, metrics, packed, read, streamed
+from .wire import FIELDS, LARGEST, Ask, Episode, Rearm, UnreadableError, metrics, packed, read, streamed
 
 _WATCHERS = 16
 _BODY = 2.0  # s for a body to arrive
@@ -87,6 +87,10 @@ def make_app(service: Service) -> FastAPI:
     @app.post("/set_dof_pos")
     async def _position(request: Request) -> JSONResponse:
         return await _commanded(service, request, "position")
+
+    @app.post("/set_gripper")
+    async def _gripper(request: Request) -> JSONResponse:
+        return await _commanded(service, request, "gripper")
 
     @app.post("/stop")
     async def _stop() -> JSONResponse:
@@ -195,7 +199,7 @@ async def _body(request: Request) -> bytes:
 def _ask(data: bytes) -> Ask:
     message: Ask = read(Ask, data)
     if message.kind is None:
-        raise UnreadableError("robot_dof_vel or robot_dof_pos is needed, one of them")
+        raise UnreadableError(f"{', '.join(FIELDS.values())}: one of them is needed")
     return message
 
 
@@ -203,7 +207,7 @@ async def _commanded(service: Service, request: Request, kind: str) -> JSONRespo
     try:
         message = _ask(await _body(request))
         if message.kind != kind:
-            raise UnreadableError(f"robot_dof_{'vel' if kind == 'velocity' else 'pos'} is needed")
+            raise UnreadableError(f"{FIELDS[kind]} is needed")
     except UnreadableError as error:
         return _refused(service.refuse("malformed", str(error)))
     assert message.kind is not None
@@ -213,6 +217,8 @@ async def _commanded(service: Service, request: Request, kind: str) -> JSONRespo
         return _refused(reply)
     if kind == "position":
         return await _moved(service, request, command)
+    if kind == "gripper":
+        return JSONResponse({"message": "gripper set"})
     return JSONResponse({"message": "joint velocities set", "clipped": reply.clipped})
 
 

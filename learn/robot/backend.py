@@ -6,10 +6,17 @@ called from the control loop's thread, 60 times a second, and none may wait: a r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
 from ...sim.base.types import Array
+
+
+def unmeasured() -> Array:
+    """Return a vector of three that nothing measures: NaN."""
+    return np.full(3, np.nan)
 
 
 @dataclass(frozen=True)
@@ -23,6 +30,9 @@ class Sample:
         torque: Joint torques without what carries the arm's own weight [N m], [D].
         hand_position: Of the end-effector in the base frame [m], [3].
         hand_rotation: Its orientation, w, x, y, z, [4].
+        gripper: How far it is closed, 0 to 1; NaN for an arm without one.
+        force: Of the hand on what it holds, by a sensor at the wrist, base frame [N], [3]; NaN without one.
+        tag: Of a tag that a camera follows, base frame [m], [3]; NaN without one.
     """
 
     time: float
@@ -31,6 +41,9 @@ class Sample:
     torque: Array
     hand_position: Array
     hand_rotation: Array
+    gripper: float = np.nan
+    force: Array = field(default_factory=unmeasured)
+    tag: Array = field(default_factory=unmeasured)
 
 
 class Backend(Protocol):
@@ -60,6 +73,15 @@ class Backend(Protocol):
 
     def close(self) -> None:
         """Let go of the arm. The last speeds sent were zero."""
+        ...
+
+
+@runtime_checkable
+class Gripping(Protocol):
+    """What a backend with a gripper has besides; without it commands for a gripper are refused."""
+
+    def grip(self, closed: float) -> None:
+        """Ask the gripper for how far it should be closed, 0 to 1; raise where that cannot be done. A stop keeps it."""
         ...
 
 

@@ -7,6 +7,7 @@
             robot.send(velocity, state)       # rad/s, numbered, answering ``state``: held-up commands are refused
         robot.wait_free()                     # until no other controller holds the arm
         robot.move_to(q, speed=0.3)           # rad/s, along a straight way in joints; returns the state there
+        robot.grip(1.0)                       # closes the gripper (0 opens it) and waits until it is; arm at rest
         robot.halt()                          # zero speed, and wait until the arm stands
         robot.status()                        # GET /status
         robot.stop(); robot.arm()             # latch a stop; re-arm the one that holds
@@ -29,8 +30,8 @@ import time
 import urllib.error
 import urllib.request
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -41,6 +42,7 @@ import numpy as np
 from ...sim.base.errors import InputError, shortened
 from ...sim.base.extras import install_hint
 from ...sim.base.types import Array
+from .backend import unmeasured
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -51,6 +53,7 @@ SILENT = 3.0
 NEEDED = ("tick", "time_s", "robot_dof_pos", "robot_dof_vel", "robot_dof_torque", "hand_pos", "hand_rot")
 """Fields without which a message is no tick."""
 
+_CLOSED, _GRIPPED = 0.05, 1.0  # share of the way; s for which fingers that hold something do not move
 _NEAR, _STILL = 0.01, 0.05  # rad from a goal, rad/s: as the guard has them
 _FADING = ("late",)  # what is refused now and then on a busy machine, and forgotten with the next command
 _PATIENCE = 0.5  # s that refusals of another kind may last
@@ -108,6 +111,9 @@ class State:
         stop: Number of the stop that holds, 0 for none.
         cause: Why it holds.
         said: The whole message.
+        gripper: How far it is closed, 0 to 1; NaN for an arm without one.
+        force: Of the hand on what it holds, by a sensor [N], [3]; NaN without one.
+        tag: Where a camera sees a tag [m], [3]; NaN without one.
     """
 
     tick: int
@@ -123,15 +129,19 @@ class State:
     stop: int
     cause: str
     said: dict[str, Any]
+    gripper: float = np.nan
+    force: Array = field(default_factory=unmeasured)
+    tag: Array = field(default_factory=unmeasured)
 
 
 def state_of(said: dict[str, Any], received: float) -> State:
     """Return a message of the stream as a state; numbers that were not finite are NaN."""
     q, qd, torque, hand, turn = (_numbers(said[key]) for key in NEEDED[2:])
+    force, tag = (_numbers(said.get(key, [None] * 3)) for key in ("hand_force", "tag_pos"))
     return State(
         int(said["tick"]), float(said["time_s"]), received, q, qd, torque, hand, turn[[3, 0, 1, 2]],
         float(said.get("touch") or 0.0), str(said.get("state", "")), int(said.get("stop") or 0),
-        str(said.get("cause", "")), said,
+        str(said.get("cause", "")), said, float(said.get("robot_gripper", np.nan)), force, tag,
     )  # fmt: skip
 
 
@@ -147,6 +157,7 @@ class RobotClient:
         accepted: Commands that were accepted.
         clipped: Of those the ones of which a speed was cut.
         refused: Commands that were refused, by reason.
+        listeners: Called with every state that comes, in the client's own thread; they must not wait.
     """
 
     def __init__(self, url: str, token: str | None = None, certificate: Path | None = None) -> None:
@@ -163,13 +174,7 @@ class RobotClient:
         self.url, own = _split(url)
         self._token = token or own
         self._trust = trusted(self.url, certificate)
-        self.refused: Counter[str] = Counter()
-        self.accepted = self.clipped = 0
-        self._latest: State | None = None
-        self._refusal: tuple[str, str, float] | None = None  # reason, sentence, since when without one accepted
-        self._problem = ""
-        self._numbers = itertools.count(1)
-        self._news = threading.Condition()
+        self._begin()
         self._socket = connect_stream(self.url, self._token, self._trust)
         self._thread = threading.Thread(target=self._listen, name="robot client", daemon=True)
         self._thread.start()
@@ -178,6 +183,16 @@ class RobotClient:
         except LostError as error:
             self.close()
             raise InputError(self.url, "", str(error), "a running bough robot serve") from None
+
+    def _begin(self) -> None:
+        self.accepted = self.clipped = 0
+        self.refused: Counter[str] = Counter()
+        self.listeners: list[Callable[[State], None]] = []
+        self._latest: State | None = None
+        self._refusal: tuple[str, str, float] | None = None  # reason, sentence, since when without one accepted
+        self._problem = ""
+        self._numbers = itertools.count(1)
+        self._news = threading.Condition()
 
     def __enter__(self) -> RobotClient:
         """Return itself."""
@@ -282,11 +297,14 @@ class RobotClient:
         if refusal is not None and refusal[0] not in _FADING and now - refusal[2] > _PATIENCE:
             raise RefusedError(refusal[0], refusal[1])
         number = next(self._numbers)
+        self._post(command | {"seq": number, "tick": answered.tick})
+        return number
+
+    def _post(self, message: dict[str, Any]) -> None:
         try:
-            self._socket.send(json.dumps(command | {"seq": number, "tick": answered.tick}))
+            self._socket.send(json.dumps(message))
         except Exception as error:  # closed, reset, broken: the service is gone whatever the library calls it
             raise LostError(self._problem or f"the service is gone ({type(error).__name__})") from None
-        return number
 
     def wait_free(self, timeout: float = 5.0) -> State:
         """Wait until no other controller holds the arm, by asking for zero speed; return the state then.
@@ -295,11 +313,11 @@ class RobotClient:
             RefusedError: Another one held it for all that time.
             StoppedError, LostError: As for `send`.
         """
-        end, before = time.monotonic() + timeout, self.accepted
+        begin, before = self.latest.time, self.accepted
         for state in self.paced(20.0):
             if self.accepted > before:
                 return state
-            if self._refusal is not None and time.monotonic() > end:
+            if self._refusal is not None and state.time - begin > timeout:
                 raise RefusedError(*self._refusal[:2])
             self._refusal = None
             self.send(np.zeros(len(state.q)), state)
@@ -320,16 +338,41 @@ class RobotClient:
         """
         goal = np.asarray(q, dtype=np.float64)
         allowed = 2.0 * float(np.abs(goal - self.latest.q).max()) / speed + slack
-        end = time.monotonic() + allowed
+        begin = self.latest.time
         for state in self.paced():
             left = goal - state.q
             if (np.abs(left) < within).all() and (np.abs(state.qd) < _STILL).all():
                 return self.halt()
-            if time.monotonic() > end:
+            if state.time - begin > allowed:
                 raise RefusedError("outside", f"{np.abs(left).max():.3f} rad from the goal after {allowed:.0f} s")
             wanted = _APPROACH * left
             self.send(wanted / max(1.0, float(np.abs(wanted).max()) / speed), state)
         raise AssertionError  # paced ends by errors alone
+
+    def grip(self, closed: float, timeout: float = 10.0) -> State:
+        """Close the gripper so far, 0 to 1, the arm at rest; return the state once it is, or holds something.
+
+        Raises:
+            RefusedError: The arm has no gripper, or it did not get there in time.
+            StoppedError, LostError: As for `send`.
+        """
+        if np.isnan(self.latest.gripper):
+            raise RefusedError("malformed", "this arm has no gripper that tells how far it is closed")
+        self.ask_gripper(closed)
+        begin, at, since = self.latest.time, self.latest.gripper, self.latest.time
+        for state in self.paced():
+            self.send(np.zeros(len(state.q)), state)
+            if abs(state.gripper - at) > _CLOSED:
+                at, since = state.gripper, state.time
+            if abs(state.gripper - closed) < _CLOSED or (closed > at and state.time - since > _GRIPPED):
+                return state
+            if state.time - begin > timeout:
+                raise RefusedError("outside", f"the gripper is at {state.gripper:.2f} after {timeout:g} s")
+        raise AssertionError  # paced ends by errors alone
+
+    def ask_gripper(self, closed: float, state: State | None = None) -> int:
+        """Ask the gripper to close so far, 0 to 1, without waiting, beside a motion; as `send` otherwise."""
+        return self._say({"robot_gripper": float(closed)}, state)
 
     def halt(self) -> State:
         """Ask for zero speed until the arm stands; return the state then.
@@ -398,8 +441,11 @@ class RobotClient:
             return
         if not set(NEEDED) <= set(said):
             raise ValueError("no tick")
+        state = state_of(said, now)
+        for listener in self.listeners:
+            listener(state)
         with self._news:
-            self._latest = state_of(said, now)
+            self._latest = state
             self._news.notify_all()
 
     def _answered(self, said: dict[str, Any], now: float) -> None:

@@ -44,14 +44,15 @@ class Command:
 
     Attributes:
         controller: Who asks.
-        kind: Whether ``values`` are joint speeds [rad/s] or joint positions to go to [rad].
-        values: [D].
+        kind: Whether ``values`` are joint speeds [rad/s], joint positions to go to [rad], or how far the gripper is to
+            be closed (0 to 1).
+        values: [D], or [1] for the gripper.
         sequence: Number that grows from command to command; None for a client that does not number.
         age: How old the state was that the command answers [s]; None for a client that does not say.
     """
 
     controller: str
-    kind: Literal["velocity", "position"]
+    kind: Literal["velocity", "position", "gripper"]
     values: Array
     sequence: int | None = None
     age: float | None = None
@@ -90,6 +91,9 @@ class Guard:
         refused: Commands that were refused, by reason.
         clipped: Commands of which something was cut at a speed limit.
         last_refusal: Reason of the last refusal.
+        grips: Whether the arm has a gripper that takes commands.
+        grip: What its gripper was last asked for, None for nothing yet. It has no lease, and a stop leaves it as it is:
+            a hand that let go, or closed, by itself would be no safer.
     """
 
     def __init__(self, limits: Limits, clearance: Callable[[Array], Array], armed: bool) -> None:
@@ -106,6 +110,7 @@ class Guard:
         self.controller, self._held_until = "", -np.inf
         self.velocity, self.asked = np.zeros(limits.num_dofs), np.zeros(limits.num_dofs)
         self.arrived = False
+        self.grips, self.grip = False, None
         self.accepted, self.clipped, self.last_refusal = 0, 0, ""
         self.refused: Counter[str] = Counter()
         self._numbers: OrderedDict[str, int] = OrderedDict()
@@ -116,6 +121,8 @@ class Guard:
         self._sample: Sample | None = None
         if not armed:
             self.halt(-np.inf, "not armed yet")
+
+    grip: float | None
 
     @property
     def running(self) -> Command | None:
@@ -133,11 +140,14 @@ class Guard:
         clipped = command.kind == "velocity" and bool((np.abs(values) > limits.speed * 1.000001).any())
         if command.sequence is not None:
             self._remember(command.controller, command.sequence)
+        self.controller, self._held_until = command.controller, now + limits.hold
+        self.accepted += 1
+        if command.kind == "gripper":  # beside a motion, whose lease goes on
+            self.grip = float(values[0])
+            return Reply(True)
         self.arrived = False
         self._command, self._until = command, now + limits.lease
         self._deadline = self._until + RAMP
-        self.controller, self._held_until = command.controller, now + limits.hold
-        self.accepted += 1
         self.clipped += clipped
         return Reply(True, clipped=clipped)
 
@@ -159,10 +169,17 @@ class Guard:
 
     def _wrong_values(self, command: Command) -> Reply | None:
         values, limits = command.values, self.limits
-        if values.shape != (limits.num_dofs,):
-            return self.refuse("malformed", f"{values.size} numbers; allowed: {limits.num_dofs}")
+        gripper = command.kind == "gripper"
+        if gripper and not self.grips:
+            return self.refuse("malformed", "this arm has no gripper that takes commands")
+        count = 1 if gripper else limits.num_dofs
+        if values.shape != (count,):
+            return self.refuse("malformed", f"{values.size} numbers; allowed: {count}")
         if not np.isfinite(values).all():
             return self.refuse("not finite", "a number that is not finite")
+        if gripper:
+            open_to_closed = 0.0 <= values[0] <= 1.0
+            return None if open_to_closed else self.refuse("outside", f"{values[0]:g}; a gripper closes from 0 to 1")
         if command.kind == "velocity":
             if (np.abs(values) > _IMPLAUSIBLE * limits.speed).any():
                 found = f"{np.abs(values).max():.3g} rad/s, beyond {_IMPLAUSIBLE:g} times the limit"

@@ -8,11 +8,12 @@ out again, and the log goes on when there is room. Its columns are also those th
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import queue
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ import numpy as np
 from ...sim.base.errors import InputError
 from ...sim.base.files import TEXT_LIMIT, check_regular
 from ...sim.base.types import Array
+from .backend import unmeasured
 
 TICKS = "ticks.csv"
 _BACKLOG = 30  # ticks, half a second
@@ -47,6 +49,8 @@ class Tick:
         sequence: Number of the command that runs, -1 for none.
         accepted, refused: Commands since the service began.
         last_refusal: Reason of the last refusal.
+        gripper: How far it is closed, NaN without one.
+        force, tag: Of the hand, and of a tag, [3]; NaN where nothing measures them.
     """
 
     number: int
@@ -69,6 +73,9 @@ class Tick:
     accepted: int
     refused: int
     last_refusal: str
+    gripper: float = math.nan
+    force: Array = field(default_factory=unmeasured)
+    tag: Array = field(default_factory=unmeasured)
 
 
 def columns(joints: int) -> list[str]:
@@ -78,7 +85,8 @@ def columns(joints: int) -> list[str]:
     return [
         "tick", "time_s", "unix_time_s", "age_s", *(form.format(k) for form in forms for k in numbers),
         "hand_x_m", "hand_y_m", "hand_z_m", "hand_qw", "hand_qx", "hand_qy", "hand_qz", "touch", "state", "stop",
-        "cause", "controller", "sequence", "accepted", "refused", "last_refusal",
+        "cause", "controller", "sequence", "accepted", "refused", "last_refusal", "gripper", "hand_fx_N", "hand_fy_N",
+        "hand_fz_N", "tag_x_m", "tag_y_m", "tag_z_m",
     ]  # fmt: skip
 
 
@@ -88,7 +96,8 @@ def line_of(tick: Tick) -> str:
     numbers = [*t.q, *t.qd, *t.torque, *t.asked, *t.sent, *t.hand_position, *t.hand_rotation, t.touch]
     before = f"{t.number},{t.time:.6f},{t.unix:.6f},{t.age:.4f}"
     after = f"{t.state},{t.stop},{_plain(t.cause)},{_plain(t.controller)},{t.sequence},{t.accepted},{t.refused}"
-    return f"{before},{','.join(f'{x:.6g}' for x in numbers)},{after},{t.last_refusal}\n"
+    sensed = ",".join("" if math.isnan(x) else f"{x:.6g}" for x in (t.gripper, *t.force, *t.tag))
+    return f"{before},{','.join(f'{x:.6g}' for x in numbers)},{after},{t.last_refusal},{sensed}\n"
 
 
 def _plain(text: str) -> str:

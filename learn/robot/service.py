@@ -13,14 +13,15 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...sim.base.types import Array
-from .backend import Backend, Sample, Staged
+from .backend import Backend, Gripping, Sample, Staged
 from .guard import PERIOD, Command, Guard, Reply
 from .log import Log, Tick
+from .wire import Kind
 
 if TYPE_CHECKING:
     from .touch import Feeler
@@ -59,6 +60,8 @@ class Service:
         self._periods: deque[float] = deque(maxlen=_PERIODS)
         self._began, self._number = time.monotonic(), 0
         self._unread = self._unsent = self._broken = ""
+        self._gripped: float | None = None
+        guard.grips = isinstance(backend, Gripping)
         self._log = Log(folder, backend.num_dofs, self._tell)
         self._thread = threading.Thread(target=self._run, name="control", daemon=True)
 
@@ -86,7 +89,7 @@ class Service:
     def command(
         self,
         controller: str,
-        kind: Literal["velocity", "position"],
+        kind: Kind,
         values: Array,
         sequence: int | None = None,
         tick: int | None = None,
@@ -190,6 +193,7 @@ class Service:
             self._times.append(now)
             tick = self._described(now, sample, touch)
         self._send(velocity)
+        self._grip()
         self._log.put(tick)
 
     @property
@@ -212,6 +216,17 @@ class Service:
         except Exception as error:  # as above
             self._unsent = f"the arm cannot be asked: {error}"
 
+    def _grip(self) -> None:
+        """Hand on what the gripper was asked for, once."""
+        asked = self.guard.grip
+        if asked is None or asked == self._gripped or not isinstance(self._backend, Gripping):
+            return
+        try:
+            self._backend.grip(asked)
+            self._gripped = asked
+        except Exception as error:  # as above
+            self._unsent = f"the gripper cannot be asked: {error}"
+
     def _described(self, now: float, sample: Sample | None, touch: float) -> Tick:
         guard, none = self.guard, np.full(self._backend.num_dofs, np.nan)
         state = "stopped" if guard.stop else "moving" if guard.velocity.any() else "ready"
@@ -226,7 +241,8 @@ class Service:
         if sample is None:
             return tick
         return replace(tick, age=now - sample.time, q=sample.q, qd=sample.qd, torque=sample.torque,
-                       hand_position=sample.hand_position, hand_rotation=sample.hand_rotation)  # fmt: skip
+                       hand_position=sample.hand_position, hand_rotation=sample.hand_rotation,
+                       gripper=sample.gripper, force=sample.force, tag=sample.tag)  # fmt: skip
 
     def _tell(self, tick: Tick) -> None:
         self.latest = tick

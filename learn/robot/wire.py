@@ -20,6 +20,10 @@ from .log import Tick
 LARGEST = 4096
 """Bytes of a message at most."""
 
+FIELDS = {"velocity": "robot_dof_vel", "position": "robot_dof_pos", "gripper": "robot_gripper"}
+"""Field of a command by its kind."""
+
+Kind = Literal["velocity", "position", "gripper"]
 Whole = Annotated[int, Field(ge=0, lt=2**53)]
 Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[\w.-]+$")]
 
@@ -35,6 +39,7 @@ class Ask(_Message):
     Attributes:
         robot_dof_vel: Joint speeds [rad/s].
         robot_dof_pos: Joint positions to go to [rad].
+        robot_gripper: How far the gripper is to be closed, 0 to 1.
         seq: Number that grows from command to command.
         tick: Number of the tick that it answers.
         controller: Name of one of several clients on a machine (HTTP alone: a WebSocket is its own name).
@@ -42,21 +47,27 @@ class Ask(_Message):
 
     robot_dof_vel: list[float] | None = Field(None, max_length=64)
     robot_dof_pos: list[float] | None = Field(None, max_length=64)
+    robot_gripper: float | None = None
     seq: Whole | None = None
     tick: Whole | None = None
     controller: Name | None = None
 
     @property
-    def kind(self) -> Literal["velocity", "position"] | None:
-        """What is asked for, None where it is both or neither."""
-        if (self.robot_dof_vel is None) == (self.robot_dof_pos is None):
-            return None
-        return "position" if self.robot_dof_vel is None else "velocity"
+    def kind(self) -> Kind | None:
+        """What is asked for, None where it is more than one thing or none."""
+        asked = [kind for kind, values in self._asked.items() if values is not None]
+        return asked[0] if len(asked) == 1 else None
 
     @property
     def values(self) -> Array:
-        """The numbers, [D]."""
-        return np.array(self.robot_dof_pos if self.robot_dof_vel is None else self.robot_dof_vel, dtype=np.float64)
+        """The numbers, [D], or [1] for the gripper."""
+        assert self.kind is not None
+        return np.array(self._asked[self.kind], dtype=np.float64)
+
+    @property
+    def _asked(self) -> dict[Kind, list[float] | None]:
+        gripper = None if self.robot_gripper is None else [self.robot_gripper]
+        return {"velocity": self.robot_dof_vel, "position": self.robot_dof_pos, "gripper": gripper}
 
 
 class Rearm(_Message):
@@ -136,4 +147,13 @@ def streamed(tick: Tick) -> str:
         "touch": tick.touch, "state": tick.state, "stop": tick.stop, "cause": tick.cause,
         "controller": tick.controller, "seq": tick.sequence, "refused": tick.refused, "last_refusal": tick.last_refusal,
     }  # fmt: skip
-    return json.dumps(metrics(tick) | more)
+    return json.dumps(metrics(tick) | more | _sensed(tick))
+
+
+def _sensed(tick: Tick) -> dict[str, Any]:
+    """Return what only some arms measure: a gripper, a force at the hand, a tag."""
+    out: dict[str, Any] = {} if math.isnan(tick.gripper) else {"robot_gripper": tick.gripper}
+    for name, values in (("hand_force", tick.force), ("tag_pos", tick.tag)):
+        if np.isfinite(values).all():
+            out[name] = _numbers(values)
+    return out

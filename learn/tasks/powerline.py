@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...perception.sensor import Sensor
 from ...sim.arms.arm import Arm
 from ...sim.arms.registry import ARMS
+from ...sim.arms.servo import with_servo
 from ...sim.arms.simulator import ArmSimulator, Contacts
 from ...sim.base.errors import InputError
 from ...sim.base.types import Array
@@ -64,7 +65,7 @@ class Powerline(AssembledTask):
         if num_envs < 1:
             raise InputError("task", "num_envs", str(num_envs), "1 or more worlds")
         self.name, self.cfg, self.num_envs, self.device = name, settings.check().of(name), num_envs, device
-        arm = ARMS.of(self.cfg.arm, "task", "arm") if arm is None else arm
+        arm = with_servo(ARMS.of(self.cfg.arm, "task", "arm") if arm is None else arm, self.cfg.servo)
         domain = "test" if test else "training"
         self._build_worlds(arm, seed, domain)
         words = seed_sequence(seed, domain).generate_state(7)[5:]

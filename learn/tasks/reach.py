@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...sim.arms.arm import Arm
 from ...sim.arms.registry import ARMS
+from ...sim.arms.servo import with_servo
 from ...sim.arms.simulator import ArmSimulator, Contacts
 from ...sim.base.errors import InputError
 from ...sim.base.types import Array
@@ -61,7 +62,7 @@ class BranchTask(AssembledTask):
         if num_envs < 1:
             raise InputError("task", "num_envs", str(num_envs), "1 or more worlds")
         self.cfg, self.num_envs, self.device = settings.check(), num_envs, device
-        arm = ARMS.of(self.cfg.arm, "task", "arm") if arm is None else arm
+        arm = with_servo(ARMS.of(self.cfg.arm, "task", "arm") if arm is None else arm, self.cfg.servo)
         parts = reach_parts(settings, arm.num_dofs, test=test) if parts is None else parts
         self.name, domain = parts.name, "test" if test else "training"
         told = self._read_classifier(arm.num_dofs) if settings.flag == "classifier" and "told" in parts.arrays else None

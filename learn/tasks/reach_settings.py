@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from ...sim.arms.servo import Servo
 from ...sim.scenes.reach_scene import ReachScene
 from .parts import first_columns
 from .ppo_settings import PPOSettings, Preset
@@ -70,6 +71,7 @@ class ReachSettings(Rates):
         reward_scale: What the trainer's rewards are times.
         action_delay, observation_delay: Greatest latencies [policy steps], drawn every episode.
         arm: Name of the arm (`sim.arms.registry.ARMS`).
+        servo: Its servos, where they are not its own (`sim.arms.servo`); ``bough train --arm-model`` sets them.
     """
 
     policy: str = "pcap"
@@ -94,6 +96,7 @@ class ReachSettings(Rates):
     action_delay: int = 0
     observation_delay: int = 0
     arm: str = field(default="jaco2", metadata=LATER)
+    servo: Servo = field(default=(), metadata=LATER)
 
     def check(self) -> ReachSettings:
         """Return self if a task can be made of it.

@@ -137,6 +137,24 @@ class TaskKind:
             places[name][name] = _read_value(value, places[name][name])
         return settings_from(self.settings, plainly, f"{command} --set")
 
+    def of_arm(self, settings: Any, model: Path) -> Any:
+        """Return settings whose arm has the servos of an arm's ``model.yaml``.
+
+        Backlash is left out, and a line of warning says so: the simulator's servos have none.
+
+        Raises:
+            InputError: The tasks have no servos to set, or the file is faulty or of another arm.
+        """
+        from ...sim.arms.registry import ARMS
+        from ...sim.arms.servo import read_arm_file
+
+        if not hasattr(settings, "servo"):
+            raise InputError("train", "--arm-model", str(model), f"none: {', '.join(self.names)} sets no servos")
+        file = read_arm_file(model, ARMS.of(settings.arm, "train", "--set arm"), settings.arm)
+        if file.backlash:
+            warn(f"{model}: left out: backlash of {', '.join(file.backlash)}, which the simulator's servos do not have")
+        return replace(settings, servo=file.servo)
+
     def of_model(self, settings: Any, model: Path) -> Any:
         """Return settings whose trees are of the wood of a branch's ``model.yaml``, as those of ``bough forest`` are.
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ...perception.sensor import SensorSettings
+from ...sim.arms.servo import Servo
 from ...sim.base.errors import InputError
 from ...sim.scenes.scene import Range, SceneSettings, Target
 from ...sim.wood.effects import WoodEffects
@@ -75,6 +76,7 @@ class TaskSettings(Rates):
         action_delay: Greatest latency of actions [policy steps], drawn every episode.
         observation_delay: Greatest latency of observations [policy steps], drawn every episode.
         arm: Name of the arm (`sim.arms.registry.ARMS`).
+        servo: Its servos, where they are not its own (`sim.arms.servo`); ``bough train --arm-model`` sets them.
     """
 
     groups: tuple[str, ...] = GROUPS
@@ -90,6 +92,7 @@ class TaskSettings(Rates):
     action_delay: int = 0
     observation_delay: int = 0
     arm: str = field(default="jaco2", metadata=LATER)
+    servo: Servo = field(default=(), metadata=LATER)
 
     def check(self) -> TaskSettings:
         """Return self if a task can be made of it.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,15 +21,16 @@ from ..trees.tree import Joint, Tree
 SERVO_GAIN = 80.0
 """Gain of a joint's velocity servo [N m s/rad]: the drive damping of the thesis (chapter 4)."""
 
-_PER_JOINT = ("lower", "upper", "velocity_limit", "torque_limit", "gain", "friction", "home")
+_PER_JOINT = ("lower", "upper", "velocity_limit", "torque_limit", "gain", "friction", "home", "weight_error", "delay")
+_LATER: Any = None  # stands for zero at every joint
 
 
 @dataclass(frozen=True)
 class Arm:
     """A serial arm of D revolute joints on a static base. Host NumPy, float64, SI units, z up.
 
-    The servo of joint i asks for the torque ``gain (target - speed)``, cut at ``torque_limit``. A hand or gripper is
-    part of the last link.
+    The servo of joint i asks for the torque that carries the arm's weight, less ``weight_error`` of it, and
+    ``gain (target - speed)``, cut at ``torque_limit``. A hand or gripper is part of the last link.
 
     Attributes:
         name: Name of the arm.
@@ -45,6 +47,8 @@ class Arm:
         home: Joint positions to start from [rad], shape [D].
         base_start, base_end: Ends of the axes of the static base's B capsules, world axes [m], shape [B, 3].
         base_radius: Their radii [m], shape [B].
+        weight_error: Share of the arm's weight that a joint's servo does not carry, shape [D]; none if not given.
+        delay: How late a servo obeys its target [s], shape [D]; at once if not given.
 
     Raises:
         InputError: The tree is no serial chain of revolute joints, a link has no mass, no capsule is there to touch
@@ -66,11 +70,15 @@ class Arm:
     base_start: Array
     base_end: Array
     base_radius: Array
+    weight_error: Array = _LATER
+    delay: Array = _LATER
 
     def __post_init__(self) -> None:
         for item in fields(self):
             if item.name not in ("name", "tree", "end_link"):
-                object.__setattr__(self, item.name, np.array(getattr(self, item.name), dtype=np.float64))
+                given = getattr(self, item.name)
+                value = np.zeros(self.tree.num_links) if given is _LATER else np.array(given, dtype=np.float64)
+                object.__setattr__(self, item.name, value)
         _check_shapes(self)
         self.tree.validate(self.name)
         _check_chain(self.tree, self.name)
@@ -128,6 +136,8 @@ def _check_joint(arm: Arm, i: int) -> None:
     need(arm.torque_limit[i] > 0, f"torque limit {arm.torque_limit[i]:g} N m", "above zero")
     need(arm.gain[i] >= 0, f"gain {arm.gain[i]:g} N m s/rad", "zero or more")
     need(arm.friction[i] >= 0, f"friction {arm.friction[i]:g} N m", "zero or more")
+    need(abs(arm.weight_error[i]) <= 1, f"weight error {arm.weight_error[i]:g}", "a share of the weight, -1 to 1")
+    need(0 <= arm.delay[i] <= 1, f"delay {arm.delay[i]:g} s", "0 to 1")
 
 
 def _check_frames(arm: Arm) -> None:

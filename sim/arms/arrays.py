@@ -38,14 +38,18 @@ class ArmArrays:
         lost: 1 where a step left the finite, [worlds].
     """
 
-    def __init__(self, arm: Arm, worlds: int, gravity: Array, device: Any) -> None:
+    def __init__(self, arm: Arm, worlds: int, gravity: Array, device: Any, substep: float) -> None:
         self.types, self.device = arm_types(arm.num_dofs), device
         self._keep: list[wp.array] = []
-        self.constants = self._constants(arm, gravity)
+        late = np.rint(arm.delay / substep).astype(np.int32)
+        self.constants = self._constants(arm, gravity, late)
         n = arm.num_dofs
         self._state, self._work = self.types.ArmState(), self.types.ArmWork()
-        for name, kind in (("q", float), ("qd", float), ("torque", float), ("target", float), ("force", wp.vec3)):
+        for name, kind in (("q", float), ("qd", float), ("torque", float), ("target", float), ("obeyed", float),
+                           ("force", wp.vec3)):  # fmt: skip
             self._field(self._state, name, (worlds, n), kind)
+        self._field(self._state, "waiting", (int(late.max()) + 1, worlds, n), float)
+        self._field(self._state, "beat", worlds, int)
         self._field(self._state, "lost", worlds, int)
         self._field(self._state, "end_position", worlds, wp.vec3)
         self._field(self._state, "end_rotation", worlds, wp.vec4)
@@ -75,7 +79,7 @@ class ArmArrays:
         self._keep.append(array)
         setattr(struct, name, array)
 
-    def _constants(self, arm: Arm, gravity: Array) -> Any:
+    def _constants(self, arm: Arm, gravity: Array, late: NDArray[np.int32]) -> Any:
         out, tree = self.types.Arm(), arm.tree
         turned = rotation.quat_rotate(tree.rotation, tree.anchor)
         before = np.concatenate([np.zeros((1, 3)), tree.anchor[:-1]])
@@ -86,7 +90,7 @@ class ArmArrays:
         vectors["shape_end"] = np.concatenate([arm.base_end, tree.shape_end - anchor])
         numbers = {
             "mass": tree.mass, "armature": tree.armature, "damping": tree.damping, "gain": arm.gain,
-            "friction": arm.friction,
+            "friction": arm.friction, "weight_error": arm.weight_error,
             "torque_limit": arm.torque_limit, "speed_limit": arm.velocity_limit, "lower": arm.lower, "upper": arm.upper,
             "reach": _reach(vectors), "shape_radius": np.concatenate([arm.base_radius, tree.shape_radius.mean(axis=1)]),
         }  # fmt: skip
@@ -97,6 +101,7 @@ class ArmArrays:
         self._constant(out, "inertia", tree.inertia.astype(np.float32), wp.mat33)
         link = np.concatenate([np.full(len(arm.base_radius), -1), tree.shape_link])
         self._constant(out, "shape_link", link.astype(np.int32), int)
+        self._constant(out, "late", late, int)
         self._constant(out, "pair", _pairs(arm, link), int)
         out.end_link = int(arm.end_link)
         out.end_position = wp.vec3(*(arm.end_position - tree.anchor[arm.end_link]))

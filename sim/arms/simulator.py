@@ -176,7 +176,7 @@ class ArmSimulator(Simulator):
         model = Model(trees, gravity=gravity, device=device, width=width)
         super().__init__(model, dt=dt, substeps=substeps, threads=threads, effects=effects)
         worlds = model.num_worlds
-        self._arm = ArmArrays(arm, worlds, model.gravity, model.device)
+        self._arm = ArmArrays(arm, worlds, model.gravity, model.device, self.dt / self.substeps)
         self._touch = TouchArrays(model, self._launcher, arm, self.contacts.room_for(model.trees, arm))
         self._set_rule()
         for name in ("q", "qd", "torque", "target", "end_position", "end_rotation"):

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ..base.console import start_warp
 from ..base.errors import InputError
 from ..base.rotation import axis_angle_quat, quat_multiply, quat_rotate
 from ..base.types import Array
@@ -186,6 +187,7 @@ def _check_reaches_root(name: str, joints: dict[str, Element]) -> None:
 
 def _through_newton(path: Path, name: str) -> Tree:
     """Import the file with Newton; values are float32."""
+    start_warp(torch=False)  # Newton starts Warp, whose greeting on stdout is no part of a command's result
     import newton
 
     from ..newton.bridge import from_newton  # Newton is slow to import, and checks of the file come first

@@ -36,7 +36,8 @@ def test_identify_writes_posterior_and_report(identified, measured):
     assert all(p["low"] <= p["median"] <= p["high"] for p in report["parameters"].values())
     curve = [report["coverage_curve"][q] for q in sorted(report["coverage_curve"])]
     assert curve == sorted(curve)
-    assert "<html" in (identified / "report.html").read_text()
+    page = (identified / "report.html").read_text()
+    assert "<html" in page and page.count('class="copy"') >= 2 and "The motion, measured and foretold" in page
     learnt = [report["parameters"][f"stiffness {name}"]["median"] for name in truth["branch"]["names"]]
     # Wood that bends inside a segment makes the fitted springs a few percent soft; 12 % is what the project allows.
     np.testing.assert_allclose(learnt, truth["K"], rtol=0.12)

@@ -82,6 +82,10 @@ def test_evaluate_leaves_one_out(small, tmp_path, capsys):
     assert said["auc"]["low"] <= said["auc"]["value"] <= said["auc"]["high"]
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 4 and "http" not in page
+    assert (
+        f"Of 100 moments of contact {100 * said['recall']['value']:.0f} are felt" in page
+        and "bough touch train" in page
+    )
     assert {"link", "direction"} == {row[0] for row in said["places"]}
 
 

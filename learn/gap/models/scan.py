@@ -96,11 +96,7 @@ def score_probes(contest: Contest, basis: Basis, probes: Sequence[Probe], residu
 
     Probes that change nothing are left out, such as those of springs' laws at a joint without a spring.
     """
-    moved, owner = _moved_batch(contest, basis.fit.batch, probes)
-    out = contest.simulate(contest.values(moved), moved.start)
-    change = contest.whiten(out - contest.simulate(contest.values(basis.fit.batch), basis.fit.batch.start)).flatten(1)
-    weight = basis.fit.batch.weight[0]
-    change = change * weight.repeat_interleave(change.shape[1] // len(weight))
+    change, owner = _changes(contest, basis, probes)
     acts = change.abs().amax(1) > NOTHING
     imitated, beyond = basis.split(change)
     imitated = imitated[:, : len(basis.columns)]
@@ -115,6 +111,23 @@ def score_probes(contest: Contest, basis: Basis, probes: Sequence[Probe], residu
         absorbed.append(found[0] @ imitated[owner == k])
     acting = [probes[k] for k in kept]
     return Scan(acting, torch.stack(gains, 1), strength, [1] * len(acting), torch.stack(absorbed))
+
+
+def signatures(
+    contest: Contest, basis: Basis, probes: Sequence[Probe]
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # fmt: skip
+    """Return what columns of probes change [V, N], what the model cannot imitate of it, and whose each is [V]."""
+    change, owner = _changes(contest, basis, probes)
+    return change, basis.free_of(change), owner
+
+
+def _changes(contest: Contest, basis: Basis, probes: Sequence[Probe]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return whitened changes of the simulation [V, N] when probes act, and the probe of each [V]."""
+    moved, owner = _moved_batch(contest, basis.fit.batch, probes)
+    out = contest.simulate(contest.values(moved), moved.start)
+    change = contest.whiten(out - contest.simulate(contest.values(basis.fit.batch), basis.fit.batch.start)).flatten(1)
+    weight = basis.fit.batch.weight[0]
+    return change * weight.repeat_interleave(change.shape[1] // len(weight)), owner
 
 
 def _explained(

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import PIL.Image
 import pytest
+from oracles import json_page
 from oracles.cameras.folder import SIZE, write_folder
 
 
@@ -22,6 +23,7 @@ def test_a_recording_is_looked_at(inside, recording, tmp_path):
     ran = inside("camera", recording, "--out", tmp_path / "look", "--json")
     assert ran.code == 0, ran.err
     said = json.loads(ran.out)
+    json_page.check("camera", said)
     assert said["branches"] > 100 and said["line"] > 30 and 0 < said["cameras"]["side"]["depth"] < 1
     masks = np.asarray(PIL.Image.open(tmp_path / "look" / "masks.png").convert("RGB")).astype(int)
     assert masks.shape == (SIZE[0] + 4, 2 * SIZE[1], 3)

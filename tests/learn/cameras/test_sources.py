@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bough.learn.cameras.bag import BagSource
 from bough.learn.cameras.calibration import Mounted, plain_rig, read_rig
+from bough.learn.cameras.clouds import beside
 from bough.learn.cameras.open import open_clouds, open_source, twin_rig
 from bough.learn.cameras.realsense import RealSenseSource
 from bough.learn.cameras.source import TwinSource
@@ -60,13 +61,19 @@ def test_cameras_look_at_a_served_twin(served):
     """See branches of a served twin from processes of their own, the arm cut out where its joints are told."""
     with open_clouds("twin", arm=ARM, url=f"http://127.0.0.1:{served.port}", token=served.token, limit=5.0) as clouds:
         q = np.array(served.ask("/fetch_kinova_metrics")[1]["robot_dof_pos"])
-        end, found = time.monotonic() + 120.0, None
+        end, found = time.monotonic() + 240.0, None
         while found is None and time.monotonic() < end:
             clouds.tell(time.monotonic(), q)
             found = clouds.latest()
             time.sleep(0.01)
         assert found is not None, clouds.trouble
         assert len(found.branches) > 20 and len(found.line) == 0
+        with TwinSource(f"http://127.0.0.1:{served.port}", twin_rig(), token=served.token)._connected() as socket:
+            socket.send("next")
+            scene = unpacked(socket.recv())
+        wood = scene.world.solids
+        away = beside(found.branches.astype(float), wood.start, wood.end, wood.radius.max(axis=1))
+        assert np.percentile(np.abs(away), 99) < 0.08  # six deviations of the depth at 1.2 m, and none on the ground
         assert 0.0 < time.monotonic() - found.time < 10.0
 
 

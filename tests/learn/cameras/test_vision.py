@@ -181,7 +181,7 @@ def test_pictures_become_clouds_through_the_models(weights, tmp_path, capfd):
     """Open a folder with weights as a user would: digests are told, other processes make key frames and clouds."""
     write_folder(tmp_path / "pictures", frames=18000)
     with open_clouds(str(tmp_path / "pictures"), arm=None, weights=weights, limit=60.0) as clouds:
-        end = time.monotonic() + 120.0
+        end = time.monotonic() + 240.0
         while clouds._board.clouds.count == 0 and not clouds._ended() and time.monotonic() < end:
             time.sleep(0.05)
         assert clouds._board.keys[0].count > 0 and clouds._board.clouds.count > 0, clouds.trouble

@@ -301,9 +301,9 @@ def diagnosed(folder, **hidden):
         return find_missing(load_case(folder), Run(Settings(particles=0)))
 
 
-@pytest.mark.parametrize(("noise", "segments"), [(0.01, 2), (0.05, 2), (0.03, 1)])
+@pytest.mark.parametrize(("noise", "segments"), [(0.01, 2), (0.03, 3), (0.05, 2), (0.03, 1)])
 def test_nothing_hidden_is_called_none(tmp_path, noise, segments):
-    """Raise no alarm on a branch that lacks nothing but its wood's bending; exams hold it with three segments."""
+    """Raise no alarm on a branch that lacks nothing but the bending of its wood."""
     found = diagnosed(tmp_path / "case", seed=int(1000 * noise), noise=noise, segments=segments)
     assert found.verdict == "none", found.sentence
     assert found.effects == () and found.nearest is None

@@ -1,0 +1,46 @@
+"""When a part of the recordings takes a name back."""
+
+from types import SimpleNamespace
+
+import pytest
+from bough.learn.gap.models.fitted import FittedModels, Model
+from bough.learn.gap.steady import shows_less
+
+SAMPLES, FIRST, SECOND, OTHER = 1000, 0, 1, 2
+
+
+def model(chi2, *members):
+    """Return a fitted model that leaves a chi-squared."""
+    return Model(members, SimpleNamespace(chi2=[chi2], cost=[chi2]))
+
+
+def part(pair):
+    """Return models fitted to a part of the recordings in which two effects together leave ``pair``."""
+    candidates = [SimpleNamespace(columns=(0, 1)) for _ in range(3)]  # 2 log(1000) = 14 for each effect
+    contest = SimpleNamespace(num_samples=SAMPLES, candidates=candidates)
+    models = [model(1000.0, FIRST), model(5000.0, SECOND), model(1300.0, OTHER), model(pair, FIRST, SECOND)]
+    return FittedModels(contest, model(9000.0), models)
+
+
+@pytest.mark.parametrize(
+    "pair, named, less",
+    [
+        (950.0, (FIRST,), True),  # the second effect still pays here: 50 for 14
+        (990.0, (FIRST,), False),  # it does not: what the part lacks was never there
+        (950.0, (OTHER,), False),  # another name stands in its place
+        (950.0, (FIRST, OTHER), False),
+        (950.0, (FIRST, SECOND), False),  # the same names: nothing is less
+    ],
+)
+def test_a_part_that_shows_less_takes_nothing_back(pair, named, less):
+    """Fewer names count as less of the same only where both effects still lower the criterion."""
+    fitted = part(pair)
+    found = next((m for m in fitted.models if set(m.members) == set(named)), model(900.0, *named))
+    assert shows_less(fitted, found, model(1.0, FIRST, SECOND)) is less
+
+
+def test_a_part_without_the_pair_takes_it_back():
+    """A pair that was not fitted to a part has shown nothing there."""
+    fitted = part(950.0)
+    fitted.models.pop()
+    assert not shows_less(fitted, fitted.models[0], model(1.0, FIRST, SECOND))
