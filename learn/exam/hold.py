@@ -100,8 +100,9 @@ def done_before(place: Path, plan: Sequence[Spec | JointCaseSpec]) -> list[dict[
 
 
 def _told(spec: Spec | JointCaseSpec) -> dict[str, Any]:
-    """Return what makes a case, as JSON reads it back."""
-    return dict(json.loads(json.dumps(asdict(spec))))
+    """Return what makes a case, as JSON reads it back; a case that hides nothing opens no form, held back or not."""
+    told = dict(json.loads(json.dumps(asdict(spec))))
+    return told | {"held_back": False} if told["kind"] == "null" and "held_back" in told else told
 
 
 def _sat(todo: Sequence[tuple[int, Spec | JointCaseSpec]], jobs: int) -> Iterator[dict[str, Any]]:

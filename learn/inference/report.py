@@ -145,7 +145,7 @@ def headline(outcome: Outcome) -> tuple[str, str]:
 def plain(outcome: Outcome) -> str:
     """Return the verdict for who has not heard of a posterior; `headline` says the same precisely."""
     if not outcome.posterior.convergence.converged:
-        return "Not settled: the search for springs and dampers has not come to rest. Use nothing below yet."
+        return "Not settled: the search for springs and dampers did not converge. Use nothing below yet."
     p, (scale, unit) = outcome.prediction, _shown(outcome)
     what = "springs and dampers" if isinstance(outcome.case, BranchCase) else "parameters"
     how = "the motion it was fitted to" if _alone(outcome) else "pushes that they were not fitted to"

@@ -29,9 +29,6 @@ LONG = 0.3
 #: Largest noise of a rate relative to its rms, and largest share of a rate's rms above the filter's cut-off, at which a
 #: motion is taken for differentiable.
 NOISY, FAST = 0.1, 0.2
-#: Cut-offs that are tried where the file has none, as multiples of a twentieth of the sampling rate: up to a seventh,
-#: three times which the recording still holds. A drive that was logged slowly moves faster than a twentieth.
-FILTERS = (1.0, 1.4, 2.0, 2.8)
 #: Push that shows how long an error lives, relative to the rms of a joint's rate.
 PUSH = 0.02
 
@@ -77,7 +74,8 @@ def choose(case: BranchCase | JointCase, wanted: Fit | None = None) -> Choice:
         return Choice(case, f"{lacking} was not measured")
     if case.stated:
         return Choice(case, "meta.yaml says so", _other(case.fit))
-    return _by_data(case)
+    found, reason = _by_data(case)
+    return Choice(replace(case, fit=found), reason, _other(found))
 
 
 ALLOWED = "replay, or position and input of every joint"
@@ -96,75 +94,33 @@ def missing(case: JointCase) -> str | None:
     return lacking[0] if lacking else None
 
 
-def _by_data(case: JointCase) -> Choice:
-    """Return how a case with every position and effort is fitted, with the slowest filter that its motion passes."""
-    passed, rough = _filtered(case)
-    if passed is None:
-        return _chosen(case, "replay", f"every position and effort was measured, but {rough}")
+def _by_data(case: JointCase) -> tuple[Fit, str]:
+    """Return how a case with every position and effort is fitted, and why."""
+    rough = roughness(case)
+    if rough is not None:
+        return "replay", f"every position and effort was measured, but {rough}"
     life, length = life_of_errors(case), float(np.median([t.t[-1] for t in case.trajectories]))
     lives = f"an error of the model lives {life:.2g} s in recordings of {length:.2g} s"
     if life < LONG * length:
-        return _chosen(case, "replay", f"{lives}, so a replay forgets it")
-    return _chosen(passed, "torque", f"every position and effort was measured, and {lives}, so a replay adds it up")
-
-
-def _chosen(case: JointCase, fit: Fit, reason: str) -> Choice:
-    return Choice(replace(case, fit=fit), reason, _other(fit))
-
-
-def _filtered(case: JointCase) -> tuple[JointCase | None, str]:
-    """Return a case with the first cut-off that its motion can be differentiated under, or why there is none.
-
-    A faster filter passes faster motion and more noise, so the search ends where a rate is noise.
-    """
-    said = ""
-    for share in FILTERS:
-        trial = replace(case, filter_hz=share * case.filter_hz)
-        unclear = _too_short(trial) or _noisy(trial)
-        said = said or unclear or _hasty(trial) or ""
-        if unclear:
-            break
-        if _hasty(trial) is None:
-            return trial, ""
-    return None, said
+        return "replay", f"{lives}, so a replay forgets it"
+    return "torque", f"every position and effort was measured, and {lives}, so a replay adds it up"
 
 
 def roughness(case: JointCase) -> str | None:
     """Return why the measured motion cannot be differentiated under the filter, or None."""
-    return _too_short(case) or _noisy(case) or _hasty(case)
-
-
-def _too_short(case: JointCase) -> str | None:
     if any(len(t.t) < 3 * np.ceil(1.0 / (case.filter_hz * case.dt)) for t in case.trajectories):
         return f"a recording is shorter than three periods of the filter's {case.filter_hz:.3g} Hz"
-    return None
-
-
-def _noisy(case: JointCase) -> str | None:
-    for joint, (rate, noise, _) in _rates_under_filter(case).items():
-        if noise > NOISY * rate:
-            return f"the rate of {joint} is noise under the filter's {case.filter_hz:.3g} Hz"
-    return None
-
-
-def _hasty(case: JointCase) -> str | None:
-    for joint, (rate, _, above) in _rates_under_filter(case).items():
-        if above > FAST * rate:
-            return f"{joint} moves faster than the filter's {case.filter_hz:.3g} Hz"
-    return None
-
-
-def _rates_under_filter(case: JointCase) -> dict[str, tuple[float, float, float]]:
-    """Return of every joint the rms rate under the filter, its noise, and the rate above the filter beyond noise."""
     sigma = estimate_noise(case).sigma
     motion = np.concatenate([r.input for r in torque_recordings(case)])
-    found = {}
     for k, joint in enumerate(case.joints):
+        rate = float(motion[:, 3 * k + 1].std())
         columns = {o.quantity: c for c, o in enumerate(case.outputs) if o.joint == joint.name}
         noise = sigma[columns["position"]] * 2.0 * np.pi * case.filter_hz / np.sqrt(3.0)
-        least = min(noise, sigma[columns["velocity"]] if "velocity" in columns else np.inf)
-        found[joint.name] = float(motion[:, 3 * k + 1].std()), least, _above(case, columns["position"]) - noise
-    return found
+        if min(noise, sigma[columns["velocity"]] if "velocity" in columns else np.inf) > NOISY * rate:
+            return f"the rate of {joint.name} is noise under the filter's {case.filter_hz:.3g} Hz"
+        if _above(case, columns["position"]) - noise > FAST * rate:
+            return f"{joint.name} moves faster than the filter's {case.filter_hz:.3g} Hz"
+    return None
 
 
 def _above(case: JointCase, column: int) -> float:

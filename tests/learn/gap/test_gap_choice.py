@@ -75,14 +75,6 @@ def test_an_axis_without_a_spring_is_fitted_by_its_torques(tmp_path):
     assert held.case.fit == "replay" and "forgets it" in held.reason and held.other == "torque"
 
 
-def test_a_drive_that_was_logged_slowly_gets_a_faster_filter(tmp_path):
-    """Fit torques of a drive that turns at up to 1.2 Hz and is logged at 20 Hz: a twentieth of that cuts its motion."""
-    found = choose(load_case(drive(tmp_path / "slow", rate=20.0, seconds=12.0)))
-    assert found.case.fit == "torque" and 1.0 < found.case.filter_hz < 3.0
-    usual = choose(load_case(drive(tmp_path / "usual", rate=200.0)))
-    assert usual.case.filter_hz == pytest.approx(10.0)  # the slowest that will do
-
-
 def test_errors_live_as_long_as_the_damper_lets_them(tmp_path):
     """Find the time 2 I / D after which free swings are down to 1 / e, to a swing of 0.3 s."""
     case = load_case(drive(tmp_path / "held", spring=20.0, seconds=8.0))
