@@ -7,6 +7,7 @@ it starts the arm again.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -17,7 +18,8 @@ import torch
 from ...sim.arms.arm import forward_kinematics
 from ...sim.base.types import Array
 from ..cameras.frames import Clouds, CloudSource
-from ..robot.client import SILENT, LostError, RobotError, State, StoppedError
+from ..robot.client import SILENT, LostError, RefusedError, RobotError, State, StoppedError
+from ..robot.guard import PERIOD
 from .feel import Feel
 from .log import Answer, RunLog
 from .observer import Observer
@@ -29,6 +31,7 @@ PATIENCE = 60.0
 """How long the first clouds are waited for [s]: a segmenter loads its weights."""
 
 
+_REST = 2.0  # s that the arm may take to rest in a new scene
 _LATEST = 0.0185  # s after an answer that the next one waits for its tick
 
 
@@ -113,6 +116,8 @@ class Runner:
     """Runs episodes of a policy on an arm.
 
     Attributes:
+        phase: Time from a tick's arrival to its answer [s], where less is needed: answers that an action had to be
+            found for come no later than others then, and the service looks at all of them in its next tick anyway.
         frames: Called with every state that was answered and what is true or None, for a film.
     """
 
@@ -136,8 +141,9 @@ class Runner:
         steps = plan.pace.episode_steps
         self._longest = steps if seconds is None else max(1, min(steps, round(seconds / plan.step_seconds)))
         self._target: Array | None = None
-        self._answered = 0
+        self._answered, self._since = 0, -np.inf
         self._began = clock()
+        self.phase = 0.0
         self.frames: Callable[[State, Facts | None], None] | None = None
 
     def aim(self, target: Array) -> None:
@@ -201,7 +207,7 @@ class Runner:
 
     def _fresh(self, source: CloudSource, now: float) -> bool:
         clouds = source.latest()
-        return clouds is not None and now - clouds.time <= self.senses.most_age
+        return clouds is not None and clouds.time >= self._since and now - clouds.time <= self.senses.most_age
 
     def _drive(self, episode: Episode) -> None:
         state, last, steps = self.link.next(), None, 0
@@ -217,6 +223,10 @@ class Runner:
                 steps += 1
             period = self.steering.period
             asked = self.steering.ask(state.qd)
+            if self.phase > 0.0:
+                late = last is not None and state.received < last  # the state was answered already
+                due = last + PERIOD if last is not None and late else state.received + self.phase
+                time.sleep(max(0.0, due - self._clock()))
             self.link.send(asked, state)
             answered = self._clock()
             episode.seconds = answered - first
@@ -235,7 +245,7 @@ class Runner:
             LostError: The service is gone or silent.
         """
         while True:
-            wait = answered + _LATEST - self._clock()
+            wait = answered + (_LATEST - self.phase) - self._clock()
             try:
                 state = self.link.next(state, max(wait, 1e-3))
             except LostError:
@@ -266,7 +276,7 @@ class Runner:
         if s.clouds is not None:
             s.clouds.tell(state.received, state.q)
             found = s.clouds.latest()
-            self._clouds = self._clouds if found is None else found
+            self._clouds = self._clouds if found is None or found.time < self._since else found
             age = np.inf if self._clouds is None else now - self._clouds.time
             if age > s.most_age:
                 found_age = f"what the policy sees is {age:.2f} s old, {s.most_age:g} s at most"
@@ -354,9 +364,22 @@ class Runner:
         assert self.senses.truth is not None
         stop = self.link.stop()
         facts = self.senses.truth.begin(number)
-        self.link.arm(stop)
+        self._since = self._clock()  # pictures from before are of another scene
+        self._rearm(stop)
         if "target" in facts:
             self.aim(facts["target"])
+
+    def _rearm(self, stop: int) -> None:
+        """Re-arm our own stop as soon as the service has seen the arm at rest in the new scene."""
+        end, state = self._clock() + _REST, self.link.next()
+        while True:
+            try:
+                self.link.arm(stop)
+                return
+            except RefusedError:
+                if self._clock() > end:
+                    raise
+                state = self.link.next(state)
 
 
 def _because(source: CloudSource) -> str:

@@ -33,6 +33,7 @@ from .truth import FAST, SLOW, TruthClouds, TwinTruth
 TRUTH, NONE = "truth", "none"
 _HOME = 0.1  # rad from home that an arm may begin at
 _FREE = 3.0  # s that another controller may still hold the arm
+_PHASE = 0.006  # s: what finding an action takes on a busy machine, well below the 16.7 to the next tick
 _SWITCH = 5e-4  # s that another thread may keep the interpreter from the loop
 
 
@@ -203,6 +204,7 @@ class Session:
         feel = None if self.touch in (TRUTH, NONE) else Feel(Path(self.touch), plan.arm.num_dofs)
         senses = Senses(self.clouds, self.truth, feel, self.touch == TRUTH and plan.feeling, order.most_age)
         out = Runner(self.driver, link, senses, time.monotonic, log, seconds=order.seconds)
+        out.phase = _PHASE
         target = self.target()
         if target is not None:
             out.aim(target)
