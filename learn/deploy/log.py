@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from ...sim.base.errors import InputError
-from ...sim.base.files import TEXT_LIMIT, check_regular
 from ...sim.base.types import Array
+from ..robot.log import read_lines
 
 LOG = "run.csv"
 
@@ -120,14 +120,6 @@ def read_run(path: Path) -> dict[str, Array]:
     Raises:
         InputError: The file is missing or no such log.
     """
-    path = path / LOG if path.is_dir() else path
-    check_regular(path, 64 * TEXT_LIMIT)
-    if not path.is_file():
-        raise InputError(path, "", "no such file", "a log that bough run wrote")
-    whole, newline, _torn = path.read_bytes().decode(errors="replace").rpartition("\n")
-    header, *lines = whole.split("\n") if newline else [""]
-    names = header.split(",")
-    if names[:3] != ["time_s", "tick", "episode"]:
-        raise InputError(path, "line 1 (header)", f"'{header[:40]}'", "a log that bough run wrote")
+    names, lines = read_lines(path, LOG, ["time_s", "tick", "episode"], "bough run")
     rows = np.array([line.split(",") for line in lines], dtype=np.float64).reshape(len(lines), len(names))
     return {name: rows[:, k] for k, name in enumerate(names)}

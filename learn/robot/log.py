@@ -209,15 +209,7 @@ def read_log(path: Path) -> dict[str, list[str]]:
     Raises:
         InputError: The file is missing or no log.
     """
-    path = path / TICKS if path.is_dir() else path
-    check_regular(path, 64 * TEXT_LIMIT)
-    if not path.is_file():
-        raise InputError(path, "", "no such file", "a log that bough robot serve wrote")
-    whole, newline, _torn = path.read_bytes().decode(errors="replace").rpartition("\n")
-    header, *lines = whole.split("\n") if newline else [""]
-    names = header.split(",")
-    if names[:3] != ["tick", "time_s", "unix_time_s"]:
-        raise InputError(path, "line 1 (header)", f"'{header[:40]}'", "a log that bough robot serve wrote")
+    names, lines = read_lines(path, TICKS, ["tick", "time_s", "unix_time_s"], "bough robot serve")
     rows = [row for row in (line.split(",") for line in lines) if len(row) == len(names)]
     cells = list(zip(*rows, strict=True)) or [()] * len(names)
     return {name: list(column) for name, column in zip(names, cells, strict=True)}
@@ -227,3 +219,27 @@ def joint_columns(log: dict[str, list[str]], form: str) -> Array:
     """Return the columns of all joints in a form such as ``dq_cmd{}_rad_s``, [ticks, D]."""
     found = [form.format(k) for k in range(1, len(log) + 1) if form.format(k) in log]
     return np.stack([np.array(log[name], float) for name in found], axis=1)
+
+
+def read_lines(path: Path, name: str, first: list[str], writer: str) -> tuple[list[str], list[str]]:
+    """Return the columns' names and the whole lines of a log; a last line that was torn is left out.
+
+    Args:
+        path: The log, or the folder that it lies in.
+        name: Of the log in its folder.
+        first: What its first columns are called.
+        writer: The command that writes it.
+
+    Raises:
+        InputError: The file is missing or no such log.
+    """
+    path = path / name if path.is_dir() else path
+    check_regular(path, 64 * TEXT_LIMIT)
+    if not path.is_file():
+        raise InputError(path, "", "no such file", f"a log that {writer} wrote")
+    whole, newline, _torn = path.read_bytes().decode(errors="replace").rpartition("\n")
+    header, *lines = whole.split("\n") if newline else [""]
+    names = header.split(",")
+    if names[: len(first)] != first:
+        raise InputError(path, "line 1 (header)", f"'{header[:40]}'", f"a log that {writer} wrote")
+    return names, lines
