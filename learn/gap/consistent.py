@@ -173,6 +173,14 @@ def _named_but_hardly_better(d: Diagnosis) -> str | None:
             f" {_times(d.gap.repaired, known)} the noise floor")  # fmt: skip
 
 
+def _named_but_askew(d: Diagnosis) -> str | None:
+    """Effects are named: then they leave less than geometry would that is further off than it can be."""
+    if d.verdict != "effects" or not d.geometry.instead:
+        return None
+    return (f"{_named(d)} would be named for {share(d.explained)} of the excess misfit, and yet geometry and mountings"
+            f" alone explain more, with {d.geometry.instead}")  # fmt: skip
+
+
 def _named_but_nothing_explained(d: Diagnosis) -> str | None:
     """Effects are named: then they explain a share of the excess that is positive and at most all of it."""
     if d.verdict != "effects" or 0.0 < d.explained <= 1.005:
@@ -197,7 +205,7 @@ def _named_without_numbers(d: Diagnosis) -> str | None:
 
 RULES: tuple[Rule, ...] = (
     _none_but_large, _none_but_far, _none_but_askew, _named_but_insignificant, _named_but_no_better,
-    _named_but_hardly_better, _named_but_nothing_explained, _named_without_numbers,
+    _named_but_hardly_better, _named_but_askew, _named_but_nothing_explained, _named_without_numbers,
 )  # fmt: skip
 
 

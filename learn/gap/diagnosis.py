@@ -137,17 +137,23 @@ class Where:
 
 @dataclass(frozen=True)
 class Geometry:
-    """What nuisances of a branch's geometry and mountings have to do with a base model's misfit.
+    """What nuisances of a branch's geometry and mountings have to do with a misfit.
+
+    Beside the named effects they are no further off than `nuisance.FARTHEST`; beside the base model, where nothing is
+    named, by any amount.
 
     Attributes:
-        share: What they explain of it, as a share of the motion's rms.
+        share: What they explain, as a share of the motion's rms.
         furthest: The number that is furthest from what the file says, and by how many deviations, in words.
         chance: Probability that any of so many numbers is so far off if they are as certain as they are taken to be.
+        instead: The number that is furthest off where the base model with geometry that is off by any amount leaves
+            less than the preferred model; empty where it does not.
     """
 
     share: float = 0.0
     furthest: str = ""
     chance: float = 1.0
+    instead: str = ""
 
 
 @dataclass
@@ -182,7 +188,7 @@ class Diagnosis:
         not_understood: Which results contradict each other (`consistent`).
         remarks: What the data leave open beside the verdict, a sentence each.
         fit: Of joints measured directly: replay or torque, why, and whether the other way can be asked for.
-        geometry: What nuisances of a branch's geometry and mountings have to do with the base model's misfit.
+        geometry: What nuisances of a branch's geometry and mountings have to do with the misfit.
         ahead: Whether named effects predict experiments left out better than the base model does, beside nuisances that
             explain more than the tolerance; the gap is without these.
         unstable: What changes the verdict, such as ``a filter of 25 Hz names backlash``; empty if nothing does.

@@ -81,7 +81,8 @@ def nulls(base: Base, seed: int, seen: Correlation | None = None) -> torch.Tenso
     """Return whitened residuals of a parametric bootstrap under the base model, shape [NULLS, N].
 
     The base model driven by the recorded force is the truth; noise is added to motion and force, and the base model is
-    then driven by the noisy force. Geometry, mountings and wood are drawn from their priors.
+    then driven by the noisy force. Geometry, mountings and wood are drawn from their priors; what is as far off as it
+    can be is in the truth.
     """
     contest, force_sigma = base.contest, base.force_sigma
     generator = np.random.default_rng(seed)
@@ -92,7 +93,7 @@ def nulls(base: Base, seed: int, seen: Correlation | None = None) -> torch.Tenso
     noise = white if seen is None else drawn_as(seen, white)
     own = contest.nuisance
     away = torch.as_tensor(generator.standard_normal((NULLS, len(own))), device=contest.place)
-    return noise.flatten(1) + away @ own.flat
+    return noise.flatten(1) + torch.where(own.held(base.fit.nuisance), 0.0, away) @ own.flat
 
 
 def _force_response(contest: Contest, model: Batch, force_sigma: Array, generator: np.random.Generator) -> torch.Tensor:

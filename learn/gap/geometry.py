@@ -25,8 +25,8 @@ from ..replay.rollout import Rollout
 from ..systems.branch import BranchSystem
 from .diagnosis import Geometry
 from .models.contest import Batch, Contest
-from .models.nuisance import Nuisances, joined
-from .models.refit import Fits, fit
+from .models.nuisance import FARTHEST, Nuisances, joined
+from .models.refit import Fits, bounded, fit
 
 #: Links per segment in the finer branch that shows the bending of wood inside segments.
 PIECES = 3
@@ -44,8 +44,8 @@ ALONG, ACROSS = 0.01, 0.02
 OFFSET, TRACKER, CELL = 3e-3, np.radians(1.5), np.radians(1.0)
 #: Twice the log Bayes factor from which the file's geometry is doubted: twenty to one.
 CERTAIN = 6.0
-#: Steps of a refit of the base model without nuisances.
-WITHOUT = 4
+#: Steps of a refit of a model without nuisances; of the base model with unlimited ones.
+WITHOUT, UNLIMITED = 4, 8
 
 
 def add_nuisances(contest: Contest, model: Batch, *, doubted: bool) -> None:
@@ -68,51 +68,64 @@ def in_doubt(contest: Contest, model: Batch, least: float) -> bool:
     residual, derivative, _ = contest.linearise(model)
     rows, r = derivative[0].flatten(1), residual[0].flatten()
     wood, stated = contest.nuisance, joined([_stated(contest, model), _tracker(contest)])
-    free = torch.zeros(len(rows), dtype=r.dtype, device=r.device)
-    known = _evidence(torch.cat([rows, wood.flat]), torch.cat([free, torch.ones_like(wood.mean)]), wood.mean, r)
-    every = joined([wood, stated])
-    loose = _evidence(torch.cat([rows, every.flat]), torch.cat([free, torch.ones_like(every.mean)]), every.mean, r)
+    known = _evidence(rows, wood, r)
+    loose = _evidence(rows, joined([wood, stated]), r)
     gain, noise = known[0] - loose[0], max(1.0, loose[0] / contest.num_samples)
     return gain / noise - (loose[1] - known[1]) > CERTAIN and gain > least**2 * contest.num_samples
 
 
-def _evidence(rows: torch.Tensor, prior: torch.Tensor, mean: torch.Tensor, r: torch.Tensor) -> tuple[float, float]:
-    """Return least squares beside rows [P, N] with prior precisions [P], and the log determinant of their precision.
+def _evidence(own: torch.Tensor, nuisance: Nuisances, r: torch.Tensor) -> tuple[float, float]:
+    """Return least squares of r [N] beside rows [P, N] and nuisances, and the log determinant of their precision.
 
     Rows without a prior are held by a millionth of their own weight, so that what does not act has a determinant.
     """
-    normal = rows @ rows.T
-    held = torch.where(prior > 0.0, prior, 1e-6 * normal.diagonal().clamp(min=1.0))
-    pull = rows @ r
-    pull[len(pull) - len(mean) :] += mean
+    rows, count = torch.cat([own, nuisance.flat]), len(own)
+    normal, pull = rows @ rows.T, rows @ r
+    held = 1e-6 * normal.diagonal().clamp(min=1.0)
+    held[count:] = 1.0
+    pull[count:] += nuisance.mean
     precision = normal + torch.diag(held)
-    found = torch.linalg.solve(precision, pull)
-    away = found[len(found) - len(mean) :] - mean
+    most = torch.cat([pull.new_full((count,), torch.inf), nuisance.high])
+    least = torch.cat([pull.new_full((count,), -torch.inf), nuisance.low])
+    found = bounded(precision[None], pull[None], least[None], most[None])[0]
+    away = found[count:] - nuisance.mean
     return float(((r - found @ rows) ** 2).sum() + (away**2).sum()), float(torch.logdet(precision))
 
 
 def _columns(contest: Contest, change: torch.Tensor, names: list[str]) -> Nuisances:
     """Return changes of the channels [M, R, T, C] by one deviation as nuisances of mean zero."""
     whitened = contest.whiten(change).flatten(2)
-    return Nuisances(whitened, whitened.new_zeros(len(whitened)), tuple(names))
+    mean = whitened.new_zeros(len(whitened))
+    return Nuisances(whitened, mean, tuple(names), torch.full_like(mean, FARTHEST))
 
 
-def explained_by(contest: Contest, base: Fits, motion: float) -> Geometry:
-    """Return what the nuisances explain of a base model's misfit; springs and dampers are fitted anew without them.
+def explained_by(contest: Contest, model: Fits, motion: float) -> Geometry:
+    """Return what the nuisances of a model, a batch of one, explain; its parameters are fitted anew without them.
 
-    Args:
-        contest: The contest.
-        base: The base model, a batch of one.
-        motion: Rms of the motion in units of the noise.
+    ``motion`` is the rms of the motion in units of the noise.
     """
-    own = contest.nuisance
-    rigid = fit(contest.rigid(), base.batch, WITHOUT)
-    gained = max(float(rigid.chi2[0] - base.chi2[0]), 0.0) / contest.num_samples
-    away = base.nuisance[0] - own.mean
-    most = int(away.abs().argmax())
-    far = float(away[most].abs())
-    chance = min(1.0, len(away) * 2.0 * float(norm.sf(far)))
-    return Geometry(float(np.sqrt(gained)) / motion, f"{own.names[most]}, {far:.1f} deviations off", chance)
+    rigid = fit(contest.rigid(), model.batch, WITHOUT)
+    gained = max(float(rigid.chi2[0] - model.chi2[0]), 0.0) / contest.num_samples
+    name, far = _furthest(contest, model)
+    chance = min(1.0, len(contest.nuisance) * 2.0 * float(norm.sf(far)))
+    return Geometry(float(np.sqrt(gained)) / motion, f"{name}, {far:.1f} deviations off", chance)
+
+
+def alone(contest: Contest, base: Fits) -> Fits:
+    """Return the base model, a batch of one, beside geometry and mountings that may be off by any amount."""
+    return fit(contest.unlimited(), base.batch, UNLIMITED)
+
+
+def instead(contest: Contest, base: Fits, model: Fits) -> str:
+    """Return which number is how far off if such a base model leaves less than another model; else nothing."""
+    name, far = _furthest(contest, base)
+    return f"{name} {far:.0f} deviations off" if base.chi2[0] < model.chi2[0] else ""
+
+
+def _furthest(contest: Contest, model: Fits) -> tuple[str, float]:
+    """Return the nuisance that is furthest from its mean in a model, and by how many deviations."""
+    away = (model.nuisance[0] - contest.nuisance.mean).abs()
+    return contest.nuisance.names[int(away.argmax())], float(away.max())
 
 
 # ---- what the file says ---------------------------------------------------------------------------------------------
@@ -210,7 +223,7 @@ def _tracker(contest: Contest) -> Nuisances:
 
 
 def _wood(contest: Contest, model: Batch) -> Nuisances:
-    """Return the columns of wood that bends inside each segment."""
+    """Return the columns of wood that bends inside each segment, by how much nobody has measured."""
     case = contest.case
     assert isinstance(case, BranchCase)
     spring, damper = contest.values(model)[0, : contest.num_base].chunk(2)
@@ -220,7 +233,8 @@ def _wood(contest: Contest, model: Batch) -> Nuisances:
     out = contest.whiten(_on_pieces(contest, case, spring, damper, bends))
     columns = (out[1:] - out[:1]).flatten(2) * (WOOD_SPREAD / WOOD_STEP)
     mean = columns.new_full((len(columns),), WOOD / WOOD_SPREAD)
-    return Nuisances(columns, mean, tuple(f"wood {name}" for name in case.segment_name))
+    names = tuple(f"wood {name}" for name in case.segment_name)
+    return Nuisances(columns, mean, names, torch.full_like(mean, torch.inf))
 
 
 def _on_pieces(

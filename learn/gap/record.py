@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ...sim.base.types import Array
 from .consistent import consistent, percent
 from .decide import Decision, predicts, size
 from .diagnosis import Diagnosis, Geometry, Rival, Where
-from .geometry import explained_by
+from .geometry import alone, explained_by, instead
+from .models.fitted import FittedModels
 from .prepare import Base
 from .repaired import Repaired
 from .run import Run
@@ -27,7 +30,7 @@ def record(
     case, recordings = contest.case, contest.recordings
     with run.timed("checks"):
         unusable = base.unusable or different_plants(fitted, decision.model)
-        beside = explained_by(contest, fitted.base.fit, base.motion) if base.doubted else Geometry()
+        beside = _beside(base, fitted, decision) if base.doubted else Geometry()
         askew = beside.share > run.settings.tolerance
         ahead = decision.verdict == "effects" and askew and predicts(fitted, decision.final)
     remarks = one_way(case, recordings, fitted.values(fitted.base))
@@ -48,3 +51,11 @@ def record(
         scatter=replicate_scatter(case, recordings), remarks=remarks,
         unstable=decision.unstable, geometry=beside, ahead=ahead,
     ))  # fmt: skip
+
+
+def _beside(base: Base, fitted: FittedModels, decision: Decision) -> Geometry:
+    """Return what geometry and mountings explain beside the named effects, or else all that they could explain."""
+    free = alone(base.contest, fitted.base.fit)
+    shown = decision.final.fit if decision.verdict == "effects" else free
+    other = instead(base.contest, free, decision.model.fit)
+    return replace(explained_by(base.contest, shown, base.motion), instead=other)

@@ -143,6 +143,12 @@ class Contest:
         out._stiffen()
         return out
 
+    def unlimited(self) -> Contest:
+        """Return the same contest, sharing memory, whose nuisances may be off by any amount."""
+        out = copy(self)
+        out.nuisance = self.nuisance.unlimited()
+        return out
+
     def finely(self) -> Contest:
         """Return the same contest, sharing memory, with steps half as long."""
         out = copy(self)

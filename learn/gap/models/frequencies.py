@@ -9,12 +9,13 @@ those that the whole session resolves.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import torch
 
+from ....sim.base.types import Array
 from ...cases.case import BranchCase
 from ...replay.recording import Recording
 from ...replay.rollout import Rollout
@@ -24,6 +25,8 @@ from .scan import Basis
 
 #: Coarse frequencies that are refined, and fine ones that are simulated.
 COARSE, FINE = 3, 3
+#: Numbers of responses that are held at once.
+TOGETHER = 2_000_000
 #: Size of the pulse, as a share of the largest force.
 PULSE = 0.1
 
@@ -79,12 +82,23 @@ def _likeliest(
     span = contest.recordings[-1].t_start + float(t[-1]) - contest.recordings[0].t_start
     coarse = np.arange(ends[0], ends[1], 0.3 / float(t[-1]))
     left = basis.free_of(basis.residual[None])[0]
-    alone = np.nan_to_num([_gain_apart(left, contest.whiten(_waves(contest, response, f))) for f in coarse])
+    alone = _gains(contest, response, coarse, lambda waves: _gain_apart(left, waves))
     top = coarse[_separate(alone, COARSE)]
     near = np.arange(-0.15 / float(t[-1]), 0.15 / float(t[-1]), 0.25 / span)
     fine = (top[:, None] + near).ravel()
-    gains = np.nan_to_num([_gain_together(basis, left, contest.whiten(_waves(contest, response, f))) for f in fine])
+    gains = _gains(contest, response, fine, lambda waves: _gain_together(basis, left, waves))
     return [float(fine[k]) for k in np.argsort(-gains)[:FINE]], len(coarse) + len(fine)
+
+
+def _gains(
+    contest: Contest, response: torch.Tensor, frequencies: Array, gain: Callable[[torch.Tensor], torch.Tensor]
+) -> Array:  # fmt: skip
+    """Return the gains of frequencies [F], as many at once as `TOGETHER` allows: one at a time reads the basis anew."""
+    spectra = torch.fft.rfft(response, 2 * response.shape[2], dim=2)
+    size = max(1, TOGETHER // (2 * response.numel()))
+    parts = [gain(contest.whiten(_waves(contest, response, spectra, frequencies[k : k + size])).unflatten(0, (-1, 4)))
+             for k in range(0, len(frequencies), size)]  # fmt: skip
+    return torch.cat(parts).nan_to_num().cpu().numpy()
 
 
 def _separate(gain: np.ndarray, count: int) -> list[int]:
@@ -98,32 +112,33 @@ def _separate(gain: np.ndarray, count: int) -> list[int]:
     return out
 
 
-def _gain_together(basis: Basis, left: torch.Tensor, waves: torch.Tensor) -> float:
-    """Gain for a residual [N] of a force with one phase in all recordings; ``waves`` [4, R, T, C]."""
-    own = waves.flatten(1)
-    pull, normal = own @ left, own @ basis.free_of(own).T
-    return float(pull @ torch.linalg.lstsq(normal, pull[:, None]).solution[:, 0])
+def _gain_together(basis: Basis, left: torch.Tensor, waves: torch.Tensor) -> torch.Tensor:
+    """Gain for a residual [N] of forces with one phase in all recordings, [F]; ``waves`` [F, 4, R, T, C]."""
+    own = waves.flatten(2)
+    pull, normal = own @ left, own @ basis.free_of(own.flatten(0, 1)).view_as(own).transpose(1, 2)
+    return (pull * torch.linalg.lstsq(normal, pull[..., None]).solution[..., 0]).sum(1)
 
 
-def _gain_apart(left: torch.Tensor, waves: torch.Tensor) -> float:
-    """Gain for a residual [N] of a force with its own phase in each recording; ``waves`` [4, R, T, C]."""
-    own = waves.flatten(2).transpose(0, 1)
-    pull = (own @ left.view(len(own), -1)[..., None])[..., 0]
-    normal = own @ own.transpose(1, 2)
-    ridge = 1e-9 * normal.diagonal(dim1=1, dim2=2).amax(1).clamp(min=1e-12)
-    normal = normal + ridge[:, None, None] * torch.eye(own.shape[1], dtype=own.dtype, device=own.device)
-    return float((pull * torch.linalg.solve(normal, pull[..., None])[..., 0]).sum())
+def _gain_apart(left: torch.Tensor, waves: torch.Tensor) -> torch.Tensor:
+    """Gain for a residual [N] of forces with a phase of their own in each recording, [F]; ``waves`` [F, 4, R, T, C]."""
+    own = waves.flatten(3).transpose(1, 2)
+    pull = (own @ left.view(own.shape[1], -1)[..., None])[..., 0]
+    normal = own @ own.transpose(-2, -1)
+    ridge = 1e-9 * normal.diagonal(dim1=-2, dim2=-1).amax(-1).clamp(min=1e-12)
+    normal = normal + ridge[..., None, None] * torch.eye(own.shape[2], dtype=own.dtype, device=own.device)
+    return (pull * torch.linalg.solve(normal, pull[..., None])[..., 0]).sum((1, 2))
 
 
-def _waves(contest: Contest, response: torch.Tensor, frequency: float) -> torch.Tensor:
-    """Response [4, R, T, C] to sine and cosine forces along x and y on the absolute clock."""
-    length = response.shape[2]
+def _waves(contest: Contest, response: torch.Tensor, spectra: torch.Tensor, frequencies: Array) -> torch.Tensor:
+    """Response [4 F, R, T, C] to sine and cosine forces along x and y on the absolute clock.
+
+    ``spectra`` [2, R, T + 1, C] are the Fourier transforms of the responses to a pulse along x and y [2, R, T, C].
+    """
+    length, rates = response.shape[2], 2.0 * np.pi * torch.as_tensor(frequencies, device=response.device)
     out = []
     for j, r in enumerate(contest.recordings):
-        clock = torch.as_tensor(2.0 * np.pi * frequency * (r.t_start + r.t), device=response.device)
-        wave = torch.stack([clock.sin(), clock.cos()])
-        spectrum = torch.fft.rfft(wave, 2 * length)
-        kernel = torch.fft.rfft(response[:, j], 2 * length, dim=1)
-        both = torch.fft.irfft(spectrum[None, :, :, None] * kernel[:, None], 2 * length, dim=2)[:, :, :length]
-        out.append(both.flatten(0, 1))
+        clock = rates[:, None] * torch.as_tensor(r.t_start + r.t, device=response.device)
+        spectrum = torch.fft.rfft(torch.stack([clock.sin(), clock.cos()], 1), 2 * length)
+        both = torch.fft.irfft(spectrum[:, None, :, :, None] * spectra[:, j, None], 2 * length, dim=3)
+        out.append(both[:, :, :, :length].flatten(0, 2))
     return torch.stack(out, 1)

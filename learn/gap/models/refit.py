@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 
 from .contest import NARROW, NARROWEST, STEP, Batch, Contest, prior_of
+from .nuisance import Nuisances
 
 #: Models whose derivatives are held in memory at once.
 TOGETHER = 24
@@ -15,8 +16,8 @@ TOGETHER = 24
 DAMPING = 1e-3
 #: Largest step of a free coordinate, relative to its reach.
 LONGEST = 1.0
-#: Passes of the active-set solution of one bounded step.
-PASSES = 4
+#: Most passes of the solution of one bounded problem; two to five settle it.
+PASSES = 12
 
 
 @dataclass
@@ -104,10 +105,22 @@ def _absorbed(
     own, od = contest.nuisance, contest.overdispersion
     if not len(own):
         return residual.new_zeros(len(residual), 0), (residual**2).sum(1), residual.new_zeros(len(residual))
-    pull = own.along(residual[:, None], batch.weight)[:, 0] + od * own.mean
-    found = torch.linalg.solve(own.precision(batch.weight, od), pull[..., None])[..., 0]
+    found = _coefficients(own, od, residual, batch)[0]
     left = residual - own.change(found, batch.weight)
     return found, (left**2).sum(1), ((found - own.mean) ** 2).sum(1)
+
+
+def _coefficients(
+    own: Nuisances, od: float, residual: torch.Tensor, batch: Batch
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the best coefficients [S, M] for residuals [S, N], their precision [S, M, M] and its product with them.
+
+    That product is of the best coefficients without bounds.
+    """
+    pull = own.along(residual[:, None], batch.weight)[:, 0] + od * own.mean
+    precision = own.precision(batch.weight, od)
+    low, high = (x.expand_as(pull) for x in (own.low, own.high))
+    return bounded(precision, pull, low, high), precision, pull
 
 
 def _step(
@@ -132,25 +145,36 @@ def _step(
 
 
 def bounded(matrix: torch.Tensor, right: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torch.Tensor:
-    """Solve ``matrix x = right`` [S, p] with x between ``low`` and ``high``.
+    """Return the x [S, p] between ``low`` and ``high`` at which ``x' matrix x / 2 - right' x`` is least.
 
-    Entries that leave their bounds are held there and the others solved again. Clipping alone would spoil the step of
-    the others; shortening the whole step would stop the fit at the first bound it touches.
+    By block principal pivoting (Júdice and Pires 1994, Computers & Operations Research 21:587): entries that leave
+    their bounds are held there, those that the slope pulls back inside are let go, the others are solved for. Clipping
+    alone would spoil the others; shortening the whole step would stop a fit at the first bound it touches. Pivoting may
+    go round in circles; the least of what it visited is returned.
     """
-    held = torch.zeros_like(right, dtype=torch.bool)
-    out = torch.zeros_like(right)
+    at_low, at_high = (torch.zeros_like(right, dtype=torch.bool) for _ in range(2))
+    best, least = torch.zeros_like(right), torch.full_like(right[:, 0], torch.inf)
     for _ in range(PASSES):
-        known = torch.where(held, out, 0.0)
-        rest = torch.where(held, out, right - (matrix @ known[..., None])[..., 0])
-        apart = held[:, :, None] | held[:, None]
-        own = torch.where(apart, torch.diag_embed(held.to(matrix)), matrix)
-        exact = torch.nan_to_num(torch.linalg.solve(own, rest[..., None])[..., 0])
-        out = torch.maximum(torch.minimum(exact, high), low)
-        left = held | (out != exact)
-        if bool((left == held).all()):
+        exact = _solved(matrix, right, torch.where(at_low, low, high), at_low | at_high)
+        x = torch.maximum(torch.minimum(exact, high), low)
+        value = (x * (0.5 * (matrix @ x[..., None])[..., 0] - right)).sum(1)
+        best, least = torch.where((value < least)[:, None], x, best), torch.minimum(value, least)
+        slope = (matrix @ exact[..., None])[..., 0] - right
+        free = ~(at_low | at_high)
+        now_low = torch.where(free, exact < low, at_low & (slope > 0.0))
+        now_high = torch.where(free, exact > high, at_high & (slope < 0.0))
+        if bool(((now_low == at_low) & (now_high == at_high)).all()):
             break
-        held = left
-    return out
+        at_low, at_high = now_low, now_high
+    return best
+
+
+def _solved(matrix: torch.Tensor, right: torch.Tensor, at: torch.Tensor, held: torch.Tensor) -> torch.Tensor:
+    """Solve ``matrix x = right`` [S, p] for the entries that are not held; the held ones are ``at``."""
+    known = torch.where(held, at, 0.0)
+    rest = torch.where(held, at, right - (matrix @ known[..., None])[..., 0])
+    own = torch.where(held[:, :, None] | held[:, None], torch.diag_embed(held.to(matrix)), matrix)
+    return torch.nan_to_num(torch.linalg.solve(own, rest[..., None])[..., 0])
 
 
 def normal_equations(
@@ -176,14 +200,22 @@ def normal_equations(
 def _eliminated(
     contest: Contest, batch: Batch, flat: torch.Tensor, r: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return what nuisance columns take from the normal matrix [S, p, p] and the right-hand side [S, p] (Schur)."""
-    own, od = contest.nuisance, contest.overdispersion
+    """Return what nuisance columns take from the normal matrix [S, p, p] and the right-hand side [S, p] (Schur).
+
+    Coefficients at their bounds stay there: they take their part of the residual, and nothing of the matrix.
+    """
+    own = contest.nuisance
+    found, precision, pull = _coefficients(own, contest.overdispersion, r, batch)
+    held = own.held(found)
+    fixed = torch.where(held, found, 0.0)
     mixed = own.along(flat, batch.weight)
-    pull = own.along(r[:, None], batch.weight)[:, 0] + od * own.mean
-    factor = torch.linalg.cholesky(own.precision(batch.weight, od))
-    through = torch.cholesky_solve(torch.cat([mixed.transpose(1, 2), pull[..., None]], 2), factor)
-    out = mixed @ through
-    return out[..., :-1], out[..., -1]
+    loose = torch.where(held[:, None], 0.0, mixed)
+    apart = held[:, :, None] | held[:, None]
+    factor = torch.linalg.cholesky(torch.where(apart, torch.diag_embed(held.to(precision)), precision))
+    rest = torch.where(held, 0.0, pull - (precision @ fixed[..., None])[..., 0])
+    through = torch.cholesky_solve(torch.cat([loose.transpose(1, 2), rest[..., None]], 2), factor)
+    out = loose @ through
+    return out[..., :-1], out[..., -1] + (mixed @ fixed[..., None])[..., 0]
 
 
 def filled(normal: torch.Tensor) -> torch.Tensor:

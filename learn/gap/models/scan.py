@@ -53,7 +53,8 @@ class Basis:
 
     Attributes:
         fit: The model, a batch of one.
-        residual: Whitened residual less the mean of the nuisance columns, shape [N].
+        residual: Whitened residual less the mean of the nuisance columns, and less those that are at their bounds and
+            stay there, shape [N].
         columns: Indices of its free parameters, shape [q].
     """
 
@@ -62,9 +63,11 @@ class Basis:
         residual, derivative, columns = contest.linearise(fit.batch)
         self.columns, own = columns[0], derivative[0].flatten(1)
         at, nuisance = self.columns, contest.nuisance
-        self.residual = residual[0].flatten() - nuisance.mean @ nuisance.flat
-        prior = [contest.spread[at], own.new_full((len(own) - len(at),), 1e6), own.new_ones(len(nuisance))]
-        self._jacobian = torch.cat([own, nuisance.flat])
+        held = nuisance.held(fit.nuisance)[0]
+        self.residual = residual[0].flatten() - torch.where(held, fit.nuisance[0], nuisance.mean) @ nuisance.flat
+        loose = nuisance.flat[~held]
+        prior = [contest.spread[at], own.new_full((len(own) - len(at),), 1e6), own.new_ones(len(loose))]
+        self._jacobian = torch.cat([own, loose])
         precision = contest.overdispersion * torch.cat(prior) ** -2
         self._factor = torch.linalg.cholesky(self._jacobian @ self._jacobian.T + torch.diag(precision))
 

@@ -57,6 +57,7 @@ NUMBERS = {
     "scatter": st.one_of(st.none(), POSITIVE),
     "unstable": st.booleans(),
     "implausible": st.booleans(),
+    "instead": st.sampled_from(["", "", "", "held point along 23 deviations off"]),
     "askew": st.one_of(st.just((0.0, 1.0)), st.tuples(st.floats(0, 0.5), st.floats(-12, 0).map(lambda x: 10.0**x))),
 }
 
@@ -84,7 +85,7 @@ def made(cases, n) -> Diagnosis:
         tried=tried, size=n["size"], swing=n["swing"], scatter=n["scatter"], unusable=n["unusable"],
         remarks=("Joint a moves in one direction only.",) if n["remark"] else (),
         unstable=("a filter of 25 Hz gives backlash",) if n["unstable"] and n["verdict"] != "none" else (),
-        geometry=Geometry(n["askew"][0], "force sensor about y, 4.1 deviations off", n["askew"][1]),
+        geometry=Geometry(n["askew"][0], "force sensor about y, 4.1 deviations off", n["askew"][1], n["instead"]),
         implausible=("dry_friction@0 torque_Nm 751 N m",) if n["implausible"] and named else (),
     )  # fmt: skip
 
@@ -128,6 +129,7 @@ def contradictions(found: Diagnosis, text: str) -> list[str]:
         "a name and no effect": claims["lacks"] == (found.verdict == "effects") == bool(found.effects),
         "small beside a mounting that is off": not (claims["nothing"] or claims["small"]) or (
             found.geometry.share < 0.0055 or found.geometry.chance > ALARM),
+        "a name beside geometry that does better": not claims["lacks"] or not found.geometry.instead,
         "none of the known": "none of the known" not in text,
         "held out of one recording": found.held_out or ("eld-out" not in text and "not used in the fit" not in text),
         "a probe that is not needed beside a doubt": found.verdict == "none" or "none needed" not in text,
@@ -186,7 +188,8 @@ def test_the_reader_stumbles_over_pages_that_were_not_checked(cases) -> None:
 
 PLAIN = {"verdict": "none", "recordings": 3, "base": 0.0105, "repaired": None, "floor": 0.01, "swing": 1.0, "p": 0.4,
          "explained": 0.2, "chi2": 1.1, "size": 0.001, "count": 1, "broken": None, "remark": False, "unusable": None,
-         "scatter": None, "unstable": False, "implausible": False, "askew": (0.0, 1.0)}  # fmt: skip
+         "scatter": None, "unstable": False, "implausible": False, "askew": (0.0, 1.0),
+         "instead": ""}  # fmt: skip
 NAMED = PLAIN | {"verdict": "effects", "p": 1e-9, "explained": 0.95, "chi2": 5.0, "repaired": 0.0101, "base": 0.03}
 
 
@@ -195,6 +198,7 @@ NAMED = PLAIN | {"verdict": "effects", "p": 1e-9, "explained": 0.95, "chi2": 5.0
     [
         (PLAIN, "none", "No missing effect is detectable"),
         (PLAIN | {"askew": (0.1, 0.2)}, "none", "No missing effect is detectable"),
+        (NAMED | {"instead": "held point along 23 deviations off"}, "unknown", "23 deviations off"),
         (PLAIN | {"askew": (0.1, 1e-3)}, "unknown", "force sensor about y, 4.1 deviations off, further than they can"),
         (PLAIN | {"base": 0.0247, "floor": 1.7e-5, "swing": 0.3, "p": 1e-35, "chi2": 1.5, "size": 0.004}, "unknown",
          "8.2 % of the motion"),

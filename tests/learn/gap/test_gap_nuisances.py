@@ -11,11 +11,11 @@ from bough.learn.gap import TOLERANCE
 from bough.learn.gap.decide import predicts
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.evidence import bootstrap_test, retested
-from bough.learn.gap.geometry import TRACKER, add_nuisances, in_doubt
+from bough.learn.gap.geometry import TRACKER, add_nuisances, alone, in_doubt, instead
 from bough.learn.gap.models.at_rest import Noise, noise_of_repeats
 from bough.learn.gap.models.contest import Contest, activated
 from bough.learn.gap.models.fitted import FittedModels, Model
-from bough.learn.gap.models.nuisance import Nuisances
+from bough.learn.gap.models.nuisance import FARTHEST, Nuisances
 from bough.learn.gap.models.refit import evaluated, fit, normal_equations
 from bough.learn.gap.prepare import Base, colour
 from bough.learn.gap.run import Run
@@ -23,6 +23,7 @@ from bough.learn.inference.correlated import correlation, drawn_as
 from bough.learn.replay.recording import recordings
 from bough.learn.replay.rollout import Rollout
 from oracles.branch_case import make_branch_case
+from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -69,7 +70,7 @@ def test_nuisances_are_a_part_of_the_covariance(contest):
     rng = torch.Generator().manual_seed(1)
     shape = (3, len(contest.recordings), contest.measured[0].numel())
     columns, mean = 0.3 * torch.randn(shape, generator=rng, dtype=torch.float64), torch.tensor([0.5, -1.0, 0.0])
-    contest.nuisance = Nuisances(columns, mean.double(), ("a", "b", "c"))
+    contest.nuisance = Nuisances(columns, mean.double(), ("a", "b", "c"), torch.full((3,), torch.inf))
     batch = contest.base_batch(1)
     batch.free[:, :2] += 0.1
     residual, derivative, found = contest.linearise(batch)
@@ -84,6 +85,35 @@ def test_nuisances_are_a_part_of_the_covariance(contest):
     torch.testing.assert_close(pull[0], j @ inverse @ away + lean, rtol=1e-7, atol=1e-6)
 
 
+def test_nuisances_are_no_further_off_than_four_deviations(contest):
+    """Leave what SciPy's bounded least squares leave; the slope is theirs, the curvature that beside what is free."""
+    noisy(contest)
+    rng = torch.Generator().manual_seed(1)
+    columns = 0.3 * torch.randn(5, len(contest.recordings), contest.measured[0].numel(), generator=rng).double()
+    mean = torch.tensor([0.5, -1.0, 0.0, 0.0, 2.0], dtype=torch.float64)
+    contest.nuisance = Nuisances(columns, mean, tuple("abcde"), torch.full((5,), FARTHEST))
+    n = contest.nuisance.flat
+    wanted = torch.tensor([9.0, -1.5, -20.0, 0.1, 2.0], dtype=torch.float64)  # a and c are far beyond the limit
+    contest.measured = contest.measured + torch.as_tensor(NOISE) * (wanted @ n).view_as(contest.measured)
+    batch = contest.base_batch(1)
+    residual, derivative, found = contest.linearise(batch)
+    r, j = residual.flatten(), derivative[0].flatten(1)
+    rows, right = np.vstack([n.T, np.eye(5)]), np.append(r, mean)
+    least = lsq_linear(rows, right, (mean - FARTHEST, mean + FARTHEST), tol=1e-14)
+    fits = evaluated(contest, batch)
+    assert float(fits.chi2[0]) == pytest.approx(2.0 * least.cost, rel=1e-9)
+    np.testing.assert_allclose(fits.nuisance[0], least.x, rtol=1e-6)
+    assert contest.nuisance.held(fits.nuisance)[0].tolist() == [True, False, True, False, False]
+    normal, pull = normal_equations(contest, batch, residual, derivative, found)
+    free = n[[1, 3, 4]]
+    inverse = torch.linalg.inv(torch.eye(len(r), dtype=torch.float64) + free.T @ free)
+    prior = contest.spread[found[0]] ** -2
+    lean = (contest.centre[found[0]] - batch.free[0, found[0]]) * prior
+    torch.testing.assert_close(normal[0], j @ inverse @ j.T + torch.diag(prior), rtol=1e-7, atol=1e-6)
+    torch.testing.assert_close(pull[0], j @ (r - torch.as_tensor(least.x) @ n) + lean, rtol=1e-5, atol=1e-4)
+    assert float(evaluated(contest.unlimited(), batch).chi2[0]) < 0.5 * float(fits.chi2[0])
+
+
 def test_recordings_left_out_leave_their_nuisances_out(contest):
     """Give a model that leaves half of the recordings out the chi-squared of a contest that never had them."""
     noisy(contest)
@@ -93,7 +123,7 @@ def test_recordings_left_out_leave_their_nuisances_out(contest):
     batch.weight[:, half:] = 0.0
     few = Contest(contest.case, contest.recordings[:half], NOISE, FEW)
     few.measured = contest.measured[:half]
-    few.nuisance = Nuisances(contest.nuisance.columns[:, :half], contest.nuisance.mean, contest.nuisance.names)
+    few.nuisance = replace(contest.nuisance, columns=contest.nuisance.columns[:, :half])
     wanted = evaluated(few, few.base_batch(1))
     assert float(evaluated(contest, batch).chi2[0]) == pytest.approx(float(wanted.chi2[0]), rel=1e-5)
 
@@ -175,6 +205,22 @@ def test_nuisances_do_not_swallow_a_mass_at_the_tip(contest):
     assert without > 1.3 and beside < 1.0 + 5.0 * np.sqrt(2.0 / contest.num_samples)
 
 
+def test_geometry_off_by_any_amount_says_how_far(contest):
+    """Say that a force sensor is turned further than it can be; segments and tracker share its 12 degrees."""
+    turn = Rotation.from_rotvec(np.radians([12.0, 0.0, 0.0])).as_matrix()
+    felt = [replace(r, input=r.input @ turn) for r in contest.recordings]
+    values = contest.values(contest.base_batch(1))[:, : contest.num_base]
+    contest.measured = Rollout(contest.case, felt, 1)(values)[0].double()
+    noisy(contest)
+    add_nuisances(contest, contest.base_batch(1), doubted=True)
+    base = fit(contest, contest.base_batch(1), 10)
+    free = alone(contest, base)
+    assert float(free.chi2[0]) < 0.5 * float(base.chi2[0])
+    what = instead(contest, free, base)
+    assert what.startswith("force sensor about x ") and FARTHEST < int(what.split()[4]) <= 12
+    assert not instead(contest, free, free)
+
+
 # ---- noise with a memory --------------------------------------------------------------------------------------------
 
 
@@ -223,7 +269,6 @@ def test_noise_of_the_force_is_not_taken_twice(contest):
 def test_a_sum_of_correlated_noise_is_not_rare(contest):
     """Call noise of 0.9 from sample to sample no effect, at one in a hundred, which it is beside white noise."""
     noisy(contest, 0.9)
-    contest.nuisance = Nuisances(contest.nuisance.columns, contest.nuisance.mean, ())
     base = Base(contest, fit(contest, contest.base_batch(1), 8), Noise(NOISE), None)
     run = Run(Settings())
     white = bootstrap_test(base, run)
