@@ -14,7 +14,7 @@ from ..systems.acting import Acting
 from .diagnosis import Settings, VerdictName
 from .evidence import ALARM, lacks_fit
 from .models.certain import doubtful
-from .models.fitted import QUIET, FittedModels, Model
+from .models.fitted import QUIET, FittedModels, Model, penalty
 from .models.left_out import left_out_chi2, profiles
 from .prepare import Base
 from .search import Searched
@@ -138,13 +138,14 @@ def pays(fitted: FittedModels, model: Model, inner: Model) -> bool:
 def predicts(fitted: FittedModels, model: Model) -> bool:
     """Return whether a model of a branch predicts experiments that it was not fitted to better than the base does.
 
-    Both have the nuisances here, which the model as it is written has not.
+    Better by what its effects cost: noise alone predicts a little better every second time. Both have the nuisances
+    here, which the model as it is written has not.
     """
     groups = profiles(fitted.contest)
     if not isinstance(fitted.contest.case, BranchCase) or len(groups) < 2:
         return False
     own, less = left_out_chi2(fitted.contest, [model, fitted.base], groups)
-    return bool((less - own).sum() > 0.0)
+    return float((less - own).sum()) > fitted.overdispersion * penalty(fitted.contest, model.members)
 
 
 def bears_out(gains: Sequence[float], fitted: float) -> bool:

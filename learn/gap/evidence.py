@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.special import gammaln
 from scipy.stats import chi2
 
 from ...sim.base.types import Array
@@ -117,11 +118,25 @@ def family_wise(scan: Scan, overdispersion: float) -> float:
     to them extrapolates.
     """
     freedom = np.array([max(1, len(p.moved)) for p in scan.probes])
-    rare = -chi2.logsf(scan.gain.cpu().numpy(), freedom)
-    rare[0] = -chi2.logsf(scan.gain[0].cpu().numpy() / overdispersion, freedom) - np.log(scan.compared)
+    gain = scan.gain.cpu().numpy()
+    rare = -log_tail(gain, freedom)
+    rare[0] = -log_tail(gain[0] / overdispersion, freedom) - np.log(scan.compared)
     best, null = float(rare[0].max()), rare[1:].max(axis=1)
     scale = max(float(null.std()) * np.sqrt(6.0) / np.pi, 1e-3)
     place = float(null.mean()) - 0.5772 * scale
     tail = float(-np.expm1(-np.exp(-(best - place) / scale)))
     counted = (1.0 + float((null >= best).sum())) / (len(null) + 1.0)
     return tail if counted <= 2.0 / (len(null) + 1.0) else counted
+
+
+def log_tail(x: Array, freedom: Array) -> Array:
+    """Return the log probability that chi-squared of some degrees of freedom exceeds x, where it underflows as well.
+
+    There by four terms of the asymptotic series of the incomplete gamma function (DLMF 8.11.2): below 1e-300 they are
+    off by less than 1e-8 of a probability of up to twelve degrees of freedom.
+    """
+    half, a = np.maximum(0.5 * x, 1.0), 0.5 * freedom
+    terms = np.cumprod([np.ones_like(half), *((a - k) / half for k in (1, 2, 3))], axis=0)
+    far = -half + (a - 1.0) * np.log(half) - gammaln(a) + np.log(np.maximum(terms.sum(axis=0), 1e-300))
+    near = chi2.sf(x, freedom)
+    return np.where(near > 1e-300, np.log(np.maximum(near, 1e-300)), far)

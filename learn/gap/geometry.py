@@ -31,8 +31,8 @@ from .models.refit import Fits, bounded, fit
 #: Links per segment in the finer branch that shows the bending of wood inside segments.
 PIECES = 3
 #: Bend of the wood inside a segment relative to that of its joint under the same torque: mean and standard deviation of
-#: its prior, and finite-difference step of its response.
-WOOD, WOOD_SPREAD, WOOD_STEP = 0.05, 0.03, 0.06
+#: its prior, and finite-difference step of its response; and the most that it bends: as much as its joint.
+WOOD, WOOD_SPREAD, WOOD_STEP, SUPPLE = 0.05, 0.03, 0.06, 1.0
 #: Deviations of what is measured by hand: lengths and masses of segments as shares, angles of their axes [rad]. A mass
 #: is a density times a volume, of which radii are known to 2 % and the wood swells here and there.
 LENGTH, MASS, ANGLE = 0.01, 0.05, np.radians(1.0)
@@ -96,7 +96,7 @@ def _columns(contest: Contest, change: torch.Tensor, names: list[str]) -> Nuisan
     """Return changes of the channels [M, R, T, C] by one deviation as nuisances of mean zero."""
     whitened = contest.whiten(change).flatten(2)
     mean = whitened.new_zeros(len(whitened))
-    return Nuisances(whitened, mean, tuple(names), torch.full_like(mean, FARTHEST))
+    return Nuisances(whitened, mean, tuple(names), mean - FARTHEST, mean + FARTHEST)
 
 
 def explained_by(contest: Contest, model: Fits, motion: float) -> Geometry:
@@ -234,7 +234,7 @@ def _wood(contest: Contest, model: Batch) -> Nuisances:
     columns = (out[1:] - out[:1]).flatten(2) * (WOOD_SPREAD / WOOD_STEP)
     mean = columns.new_full((len(columns),), WOOD / WOOD_SPREAD)
     names = tuple(f"wood {name}" for name in case.segment_name)
-    return Nuisances(columns, mean, names, torch.full_like(mean, torch.inf))
+    return Nuisances(columns, mean, names, torch.zeros_like(mean), torch.full_like(mean, SUPPLE / WOOD_SPREAD))
 
 
 def _on_pieces(

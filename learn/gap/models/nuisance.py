@@ -3,8 +3,8 @@
 What a branch's file says of its geometry and of its sensors is a little wrong, and its wood bends. To first order the
 simulation changes by a @ columns, a normal with known mean and deviation one. The cost of a model is least over a:
 equal, up to a constant, to a normal likelihood whose covariance is that of the noise plus columns^T columns. So a
-model is charged for geometry that it needs to be wrong, in deviations squared. Normals of what was measured are cut
-off: what nobody mismeasures so far explains no misfit, however much the charge would be worth.
+model is charged for geometry that it needs to be wrong, in deviations squared. The normals are cut off: what nobody
+mismeasures so far, and wood that bends backwards, explain no misfit, however much the charge would be worth.
 """
 
 from __future__ import annotations
@@ -28,13 +28,14 @@ class Nuisances:
         columns: Whitened change of the channels by one prior deviation of each, shape [M, R, T C].
         mean: Prior means in deviations, shape [M].
         names: What each is, length M.
-        farthest: Largest distances from the means, in deviations, shape [M].
+        low, high: Least and largest coefficients, shape [M].
     """
 
     columns: torch.Tensor
     mean: torch.Tensor
     names: tuple[str, ...]
-    farthest: torch.Tensor
+    low: torch.Tensor
+    high: torch.Tensor
 
     @cached_property
     def _gram(self) -> torch.Tensor:
@@ -50,23 +51,14 @@ class Nuisances:
         """Columns over all samples, shape [M, N]."""
         return self.columns.flatten(1)
 
-    @property
-    def low(self) -> torch.Tensor:
-        """Least coefficients, shape [M]."""
-        return self.mean - self.farthest
-
-    @property
-    def high(self) -> torch.Tensor:
-        """Largest coefficients, shape [M]."""
-        return self.mean + self.farthest
-
     def held(self, found: torch.Tensor) -> torch.Tensor:
-        """Return which coefficients [S, M] are as far from their means as they can be."""
+        """Return which coefficients [S, M] are at their bounds."""
         return (found <= self.low) | (found >= self.high)
 
     def unlimited(self) -> Nuisances:
         """Return the same under whole normals."""
-        return replace(self, farthest=torch.full_like(self.mean, math.inf))
+        most = torch.full_like(self.mean, math.inf)
+        return replace(self, low=-most, high=most)
 
     def change(self, found: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
         """Return the change of the channels by coefficients [S, M] in recordings weighted [S, R], shape [S, N]."""
@@ -88,10 +80,11 @@ class Nuisances:
 
 def none_of(like: torch.Tensor) -> Nuisances:
     """Return no nuisances, for measured channels [R, T, C]."""
-    return Nuisances(like.new_zeros(0, len(like), like[0].numel()), like.new_zeros(0), (), like.new_zeros(0))
+    nothing = like.new_zeros(0)
+    return Nuisances(like.new_zeros(0, len(like), like[0].numel()), nothing, (), nothing, nothing)
 
 
 def joined(parts: list[Nuisances]) -> Nuisances:
     """Return several sets as one."""
-    return Nuisances(torch.cat([p.columns for p in parts]), torch.cat([p.mean for p in parts]),
-                     tuple(n for p in parts for n in p.names), torch.cat([p.farthest for p in parts]))  # fmt: skip
+    columns, mean, low, high = (torch.cat([getattr(p, k) for p in parts]) for k in ("columns", "mean", "low", "high"))
+    return Nuisances(columns, mean, tuple(n for p in parts for n in p.names), low, high)

@@ -14,6 +14,9 @@ from .nuisance import Nuisances
 TOGETHER = 24
 #: Initial damping.
 DAMPING = 1e-3
+#: Damping at which wide finite differences are given up for narrower ones, after five steps in a row that went astray:
+#: in a curved valley they miss the slope; and at which a fit with the narrowest is.
+ASTRAY, STUCK = 20.0, 1e6
 #: Largest step of a free coordinate, relative to its reach.
 LONGEST = 1.0
 #: Most passes of the solution of one bounded problem; two to five settle it.
@@ -82,7 +85,7 @@ def _fit(contest: Contest, batch: Batch, iterations: int) -> Fits:
         better = trial.cost < fits.cost
         settled = better & (fits.cost - trial.cost < 1e-4 * fits.cost.clamp(min=1.0))
         fits = _where(better, trial, fits)
-        settled |= fits.damping > 1e6
+        settled |= fits.damping > torch.where(steps > 1.01 * last, ASTRAY, STUCK)
         if bool((settled & (steps < 1.01 * last)).all()):
             break
         fits.damping = torch.where(settled & (steps > 1.01 * last), DAMPING, fits.damping)

@@ -69,8 +69,11 @@ def test_nuisances_are_a_part_of_the_covariance(contest):
     noisy(contest)
     rng = torch.Generator().manual_seed(1)
     shape = (3, len(contest.recordings), contest.measured[0].numel())
-    columns, mean = 0.3 * torch.randn(shape, generator=rng, dtype=torch.float64), torch.tensor([0.5, -1.0, 0.0])
-    contest.nuisance = Nuisances(columns, mean.double(), ("a", "b", "c"), torch.full((3,), torch.inf))
+    columns, mean = (
+        0.3 * torch.randn(shape, generator=rng, dtype=torch.float64),
+        torch.tensor([0.5, -1.0, 0.0]).double(),
+    )
+    contest.nuisance = Nuisances(columns, mean, ("a", "b", "c"), mean - 99.0, mean + 99.0)
     batch = contest.base_batch(1)
     batch.free[:, :2] += 0.1
     residual, derivative, found = contest.linearise(batch)
@@ -91,7 +94,7 @@ def test_nuisances_are_no_further_off_than_four_deviations(contest):
     rng = torch.Generator().manual_seed(1)
     columns = 0.3 * torch.randn(5, len(contest.recordings), contest.measured[0].numel(), generator=rng).double()
     mean = torch.tensor([0.5, -1.0, 0.0, 0.0, 2.0], dtype=torch.float64)
-    contest.nuisance = Nuisances(columns, mean, tuple("abcde"), torch.full((5,), FARTHEST))
+    contest.nuisance = Nuisances(columns, mean, tuple("abcde"), mean - FARTHEST, mean + FARTHEST)
     n = contest.nuisance.flat
     wanted = torch.tensor([9.0, -1.5, -20.0, 0.1, 2.0], dtype=torch.float64)  # a and c are far beyond the limit
     contest.measured = contest.measured + torch.as_tensor(NOISE) * (wanted @ n).view_as(contest.measured)
