@@ -32,10 +32,10 @@ from .recording import Recording
 from .rollout import Rollout
 
 #: Pulses simulated per recording and axis; between them the earlier one's response is shifted in time.
-PULSES = 16
+PULSES = 32
 #: Independent noise values per recording and axis; in longer recordings each covers several samples. Averaging loses
 #: fast noise, to which a branch that swings once in five samples responds most.
-PIECES = 160
+PIECES = 320
 
 
 @dataclass(frozen=True)

@@ -111,8 +111,10 @@ def write_simulated_case(
         for i, (p, (_, closed)) in enumerate(zip(places, pushes, strict=True))
     ]
     full = _meta(meta, experiment, items, name)
-    _write(folder, full, rows)
-    clean = _simulate(load_case(folder), rows, truth, unknowns)
+    clean = np.stack([r[:, 4:] for r in rows])
+    for _ in range(2):  # the second time with steps as short as what then moves needs, see `BranchSystem`
+        _write(folder, full, [np.column_stack([r[:, :4], c]) for r, c in zip(rows, clean, strict=True)])
+        clean = _simulate(load_case(folder), rows, truth, unknowns)
     _write(folder, full, _noisy(rng, rows, clean, [c for _, c in pushes], experiment))
     case = load_case(folder)
     assert isinstance(case, BranchCase)

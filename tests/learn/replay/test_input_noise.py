@@ -92,7 +92,8 @@ def test_noise_does_no_damage(tmp_path):
         assert (colour.basis == plain.basis).all() and (colour.gain == plain.gain).all()
 
 
-def test_fast_answers_are_seen(tmp_path):
+@pytest.mark.parametrize("samples", [110, 200])
+def test_fast_answers_are_seen(tmp_path, samples):
     """Whiten a stiff branch, which swings once in five samples, as well as a soft one.
 
     Raw residuals have 240 times the variance of the sensor's noise here. Means over three samples of the force's noise
@@ -103,7 +104,7 @@ def test_fast_answers_are_seen(tmp_path):
     meta = random_branch(rng, 1)
     inertia = meta["segments"][0]["mass_kg"] * meta["segments"][0]["length_m"] ** 2 / 3
     truth = {"stiffness": np.array([60.0**2 * inertia]), "damping": np.array([0.2 * 60.0 * inertia])}
-    experiment = Experiment(samples=110, force_noise=0.02, noise=0.005, deflection=0.03)
+    experiment = Experiment(samples=samples, force_noise=0.02, noise=0.005, deflection=0.03)
     case = write_simulated_case(tmp_path / "case", meta, truth, experiment, trajectories=2, seed=3)
     chosen = recordings(case)
     values = torch.tensor([[truth["stiffness"][0], truth["damping"][0]]])
