@@ -17,7 +17,7 @@ import torch
 from ...sim.base.errors import InputError
 from ...sim.base.types import Array
 from ..cases.case import BranchCase, JointCase
-from ..cases.noise import estimate_noise
+from ..cases.noise import difference_sigma, estimate_noise
 from .equation_error import low_pass, torque_recordings
 from .recording import recordings
 from .rollout import Rollout
@@ -29,6 +29,9 @@ LONG = 0.3
 #: Largest noise of a rate relative to its rms, and largest share of a rate's rms above the filter's cut-off, at which a
 #: motion is taken for differentiable.
 NOISY, FAST = 0.1, 0.2
+#: How far the noise of the efforts may move a replay, relative to the sensors' noise: beyond, a right model leaves more
+#: than noise. Replays of such noise that are simulated to tell.
+STIRRED, REPLAYS = 1.0, 4
 #: Push that shows how long an error lives, relative to the rms of a joint's rate.
 PUSH = 0.02
 
@@ -102,6 +105,9 @@ def _by_data(case: JointCase) -> tuple[Fit, str]:
     life, length = life_of_errors(case), float(np.median([t.t[-1] for t in case.trajectories]))
     lives = f"an error of the model lives {life:.2g} s in recordings of {length:.2g} s"
     if life < LONG * length:
+        stirred = moved_by_noise(case)
+        if stirred > STIRRED:
+            return "torque", f"the noise of the efforts moves a replay {stirred:.2g} times as far as the sensors' noise"
         return "replay", f"{lives}, so a replay forgets it"
     return "torque", f"every position and effort was measured, and {lives}, so a replay adds it up"
 
@@ -148,12 +154,37 @@ def life_of_errors(case: JointCase) -> float:
     starts = np.repeat(start[None], 1 + count, axis=0)
     for j, rate in enumerate(_rates(case)):
         starts[1 + j, :, j, 1] += PUSH * rate
-    typical = [float(np.exp(p.start)) if p.scale == "log" else p.start for p in rollout.system.parameters]
-    out = rollout(torch.tensor([typical] * (1 + count), dtype=torch.float64), torch.as_tensor(starts)).double().cpu()
+    out = rollout(_typical(rollout, 1 + count), torch.as_tensor(starts)).double().cpu()
     apart = (out[1:] - out[:1]).numpy()
     scale = np.concatenate([t.output for t in case.trajectories]).std(axis=0)
     lives = [max(_felt(x[j, : len(r.t)] / scale, r.t) for x in apart) for j, r in enumerate(chosen)]
     return float(np.median(lives))
+
+
+def moved_by_noise(case: JointCase) -> float:
+    """Return how far the noise of the efforts moves a replay of the base model, in units of the sensors' noise.
+
+    The rms over all samples, of the output that it moves most; the noise is what differences of the efforts show.
+    """
+    own = replace(case, fit="replay")
+    chosen, generator = recordings(own), np.random.default_rng(0)
+    efforts = [t.effort for t in case.trajectories]
+    sigma = np.nan_to_num([difference_sigma([e[:, k] for e in efforts])[0] for k in range(efforts[0].shape[1])])
+    noisy = [replace(r, input=r.input + sigma * generator.standard_normal(r.input.shape))
+             for _ in range(REPLAYS) for r in chosen]  # fmt: skip
+    rollout = Rollout(own, [*chosen, *noisy], 1)
+    starts = np.stack([r.start for r in chosen] * (1 + REPLAYS))[None]
+    out = rollout(_typical(rollout, 1), torch.as_tensor(starts))[0].double().cpu().numpy()
+    apart = out[len(chosen) :].reshape(REPLAYS, *out[: len(chosen)].shape) - out[: len(chosen)]
+    squares = sum((apart[:, j, : len(r.t)] ** 2).sum((0, 1)) for j, r in enumerate(chosen))
+    count = REPLAYS * sum(len(r.t) for r in chosen)
+    return float(np.nan_to_num(np.sqrt(squares / count) / estimate_noise(case).sigma, nan=np.inf).max())
+
+
+def _typical(rollout: Rollout, sets: int) -> torch.Tensor:
+    """Return typical values of a rollout's parameters, so many times, [sets, n]."""
+    row = [float(np.exp(p.start)) if p.scale == "log" else p.start for p in rollout.system.parameters]
+    return torch.tensor([row] * sets, dtype=torch.float64)
 
 
 def _rates(case: JointCase) -> list[float]:

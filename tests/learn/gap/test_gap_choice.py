@@ -19,7 +19,7 @@ from bough.learn.gap.prepare import prepare
 from bough.learn.gap.run import Run
 from bough.learn.gap.search import Searched
 from bough.learn.gap.steady import at_half_rate, steadied, variants
-from bough.learn.replay.choice import choose, life_of_errors
+from bough.learn.replay.choice import choose, life_of_errors, moved_by_noise
 from bough.learn.replay.equation_error import EquationError, low_pass, recordings_of, thinned, window
 from bough.learn.replay.motion_noise import motion_noise
 from bough.learn.runs.threads import one_thread
@@ -31,7 +31,8 @@ from scipy.signal import firwin
 INERTIA, D = 0.05, 0.1
 
 
-def drive(folder, *, rub=0.0, spring=0.0, seconds=5.0, rate=200.0, noise=2e-4, runs=2, measured=("q", "u"), keys=()):
+def drive(folder, *, rub=0.0, spring=0.0, seconds=5.0, rate=200.0, noise=2e-4, loud=0.0, runs=2, measured=("q", "u"),
+          keys=()):  # fmt: skip
     """Write a case of an axis that a controller turns: INERTIA q'' = u - D q' - spring q - rub sign(q')."""
     folder.mkdir()
     rng, fine = np.random.default_rng(0), 10
@@ -47,7 +48,7 @@ def drive(folder, *, rub=0.0, spring=0.0, seconds=5.0, rate=200.0, noise=2e-4, r
                 v += h * (u - D * v - spring * q - rub * np.tanh(v / 5e-3)) / INERTIA
                 q += h * v
         rows = np.array(rows)
-        rows[:, 1] += noise * rng.standard_normal(len(t))
+        rows[:, 1:] += np.array([noise, loud]) * rng.standard_normal((len(t), 2))
         np.savetxt(folder / f"run_{r}.csv", rows, delimiter=",", header="time_s,q,u", comments="", fmt="%.9g")
     joint = {"name": "axis", "type": "revolute", "inertia": None, "damping": None,
              "stiffness": None if spring else 0.0}  # fmt: skip
@@ -73,6 +74,18 @@ def test_an_axis_without_a_spring_is_fitted_by_its_torques(tmp_path):
     assert free.case.fit == "torque" and "lives 5 s in recordings of 5 s" in free.reason and free.other == "replay"
     held = choose(load_case(drive(tmp_path / "held", spring=20.0)))
     assert held.case.fit == "replay" and "forgets it" in held.reason and held.other == "torque"
+
+
+def test_efforts_that_are_noise_are_not_replayed(tmp_path):
+    """Fit torques where the noise of the efforts moves a replay further than the encoder's noise is.
+
+    Its response has the variance sigma^2 dt / (2 D k); the first seconds and a guessed spring leave a factor of two.
+    """
+    case = load_case(drive(tmp_path / "loud", spring=20.0, loud=0.1))
+    found = choose(case)
+    assert found.case.fit == "torque" and "noise of the efforts" in found.reason and found.other == "replay"
+    wanted = 0.1 * np.sqrt(0.005 / (2.0 * D * 20.0)) / 2e-4
+    assert 0.5 * wanted < moved_by_noise(case) < 2.0 * wanted
 
 
 def test_errors_live_as_long_as_the_damper_lets_them(tmp_path):
