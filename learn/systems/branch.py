@@ -66,7 +66,7 @@ class BranchSystem:
     #: all joints partly implicit at once; that jump in the dynamics splits a posterior into spurious modes.
     LEAST_RELAXATION = 0.6
     #: Longest and shortest step [s], and the largest phase that the swing of a held segment turns by in one [rad].
-    LONGEST, SHORTEST, TURN = 2.5e-3, 3e-4, 0.1
+    LONGEST, SHORTEST, TURN = 2.5e-3, 2e-4, 0.05
     TYPICAL_YOUNG, TYPICAL_RELAXATION = 5e8, 0.02
 
     def __init__(self, branch: MeasuredBranch, unknowns: Unknowns | None = None) -> None:
