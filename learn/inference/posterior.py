@@ -17,6 +17,7 @@ from ..replay.input_noise import input_colour
 from ..runs.checkpoint import Checkpoint
 from ..samplers.choose import make_sampler
 from ..samplers.diagnostics import Convergence, converged
+from ..samplers.registry import SAMPLERS
 from ..systems.branch import BranchSystem
 from ..systems.system import Parameter, free_of
 from .correlated import correlation, score_covariance, widening
@@ -261,7 +262,8 @@ def sample(
     trace_z, trace_p = _restored(sampler, density, keep.load(f"{name}.sampler"))
     progress("particles", len(trace_z))
     for _ in range(len(trace_z), iterations):
-        trace_z.append(sampler.step(density).clone())
+        with SAMPLERS.running(method):
+            trace_z.append(sampler.step(density).clone())
         trace_p.append(sampler.log_density.clone())
         progress("particles", 1)
         if keep.due(f"{name}.sampler"):

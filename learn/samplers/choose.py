@@ -69,16 +69,19 @@ def make_sampler(
         step_size: Step of svgd, sgld or sghmc instead of their own, in units of the population's spread.
 
     Raises:
-        InputError: The name is unknown, the sampler has no step, or its particles or iterations cannot be used.
+        InputError: The name is unknown, the sampler has no step, its particles or iterations cannot be used, or a
+            package's sampler raises an error.
     """
     kind = SAMPLERS.of(name, "sampler", "method")
     if step_size is None:
-        return kind.make(particles, iterations=iterations, seed=seed)
+        with SAMPLERS.running(name):
+            return kind.make(particles, iterations=iterations, seed=seed)
     if not kind.has_step:
         raise InputError(name, "step_size", f"{step_size:g}", "none: this sampler finds its own")
     if not 0.0 < step_size <= 1.0:
         raise InputError(name, "step_size", f"{step_size:g}", "above 0, at most 1")
-    return kind.make(particles, iterations=iterations, seed=seed, step_size=step_size)
+    with SAMPLERS.running(name):
+        return kind.make(particles, iterations=iterations, seed=seed, step_size=step_size)
 
 
 def sample(
@@ -103,12 +106,13 @@ def sample(
         progress: Called with the number of iterations done, after each.
 
     Raises:
-        InputError: As `make_sampler`.
+        InputError: As `make_sampler`, or a package's sampler raises an error.
     """
     sampler = make_sampler(method, particles, iterations=iterations, seed=seed, step_size=step_size)
     trace, values = [], []
     for k in range(iterations):
-        trace.append(sampler.step(density).clone())
+        with SAMPLERS.running(method):
+            trace.append(sampler.step(density).clone())
         values.append(sampler.log_density.clone())
         progress(k + 1)
     return Draws(

@@ -7,7 +7,8 @@ breaks only the commands that use it.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Generic, TypeVar
@@ -97,6 +98,21 @@ class Registry(Generic[Part]):
             except InputError as error:
                 warnings.warn(f"{error}; it is left out", stacklevel=2)
         return found
+
+    @contextmanager
+    def running(self, name: str) -> Iterator[None]:
+        """Make one line that names the package of what its part raises while it runs; errors of bough's own stay.
+
+        Raises:
+            InputError: A package's part raised an error.
+        """
+        try:
+            yield
+        except Exception as error:
+            if isinstance(error, InputError) or name not in self.installed:
+                raise
+            who = distribution_of(self.installed[name])
+            raise InputError(who, f"{self.noun} {name}", fault_of(error), "a part that raises nothing") from error
 
     def hint(self, default: str = "") -> str:
         """Return what the help of a command's option says of the names, and of the default that tyro tells."""

@@ -43,9 +43,12 @@ def site(tmp_path_factory):
         folder, "broken-parts",
         {"bough_tasks": "gone = no_such_module:x\nmisnamed = someones_task:calm",
          "bough_arms": "bent = broken:bent", "bough_probes": "wild = broken:wild",
-         "bough_samplers": "number = broken:number\nstill = broken:still"},
+         "bough_samplers": "number = broken:number\nstill = broken:still\nstops = broken:stops"},
         {"broken.py": "number = 3\n\ndef bent():\n    raise ValueError('no\\nsuch arm')\n\n"
                       "from bough.learn.samplers.registry import SamplerKind\nstill = SamplerKind('idle', dict, 0)\n\n"
+                      "class Stops:\n    def __init__(self, particles, **_):\n        self.particles = particles\n\n"
+                      "    def step(self, density):\n        return 1 / 0\n\n"
+                      "stops = SamplerKind('stops', Stops, 24)\n\n"
                       "from bough.learn.replay.probes import ArmProbe, Push\n"
                       "wild = ArmProbe('wild', (Push(0, 1.0, 1.0, lambda t: 7.0 * t),))\n"},
     )  # fmt: skip
@@ -121,6 +124,8 @@ def test_what_is_not_there_is_refused(inside, here, brief):
     inside(*train, "arm=ur5").refused("task: arm: found ur5", "jaco2_spherical", "slow_jaco")
     inside("play", "zero", "--task", "calmer", "--out", "x").refused("--task", "calmer", "calm")
     inside("identify", brief, "--method", "number", "--out", "x").refused("broken-parts 1.0: sampler number", "int")
+    stops = ("identify", brief, "--method", "stops", "--particles", 16)
+    inside(*stops, "--out", "x").refused("broken-parts 1.0: sampler stops", "ZeroDivisionError: division by zero")
     inside("identify", brief, "--method", "nuts", "--out", "x").refused("--method", "nuts", "emcee, mala")
     assert not Path("x").exists()
 
