@@ -249,13 +249,14 @@ def _on_pieces(
     inside = np.arange(fine.num_segments) % PIECES > 0
     share = np.where(inside, (PIECES - 1) / np.repeat(bends, PIECES, axis=1), 1.0)
     factor = torch.as_tensor(share, device=contest.place)
-    rollout = Rollout(fine, recordings, len(bends), device=contest.device)
+    finer = int(np.ceil(BranchSystem.LONGEST / BranchSystem(case).substep))  # the pieces have no recordings to tell
+    rollout = Rollout(fine, recordings, len(bends), device=contest.device, finer=finer)
     values = [x.repeat_interleave(PIECES) * factor for x in (spring, damper)]
     return rollout(torch.cat(values, 1)).double()
 
 
 def in_pieces(case: BranchCase) -> BranchCase:
-    """Return a branch case with every segment cut into pieces of equal length."""
+    """Return a branch case with every segment cut into pieces of equal length, without recordings."""
     share = np.linspace(0.0, 1.0, PIECES + 1)
     radius = case.radius[:, :1] + (case.radius[:, 1:] - case.radius[:, :1]) * share
     ends = np.stack([radius[:, :-1], radius[:, 1:]], -1)
@@ -265,4 +266,5 @@ def in_pieces(case: BranchCase) -> BranchCase:
     return replace(
         case, segment_name=names, length=np.repeat(case.length / PIECES, PIECES), radius=ends.reshape(-1, 2),
         elevation=np.repeat(case.elevation, PIECES), azimuth=np.repeat(case.azimuth, PIECES), mass=mass.ravel(),
+        trajectories=(),
     )  # fmt: skip
