@@ -22,7 +22,7 @@ from ...sim.engine.simulator import Simulator
 from ..cases.case import BranchCase
 from ..replay.recording import Recording
 from ..replay.rollout import Rollout
-from ..systems.branch import BranchSystem
+from ..systems.branch import LONGEST, BranchSystem, substep_of
 from .diagnosis import Geometry
 from .models.contest import Batch, Contest
 from .models.nuisance import FARTHEST, Nuisances, joined
@@ -249,7 +249,7 @@ def _on_pieces(
     inside = np.arange(fine.num_segments) % PIECES > 0
     share = np.where(inside, (PIECES - 1) / np.repeat(bends, PIECES, axis=1), 1.0)
     factor = torch.as_tensor(share, device=contest.place)
-    finer = int(np.ceil(BranchSystem.LONGEST / BranchSystem(case).substep))  # the pieces have no recordings to tell
+    finer = int(np.ceil(LONGEST / substep_of(case)))  # the pieces have no recordings to tell
     rollout = Rollout(fine, recordings, len(bends), device=contest.device, finer=finer)
     values = [x.repeat_interleave(PIECES) * factor for x in (spring, damper)]
     return rollout(torch.cat(values, 1)).double()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from ..replay.input_noise import Colour
 from .evidence import ALARM, Evidence, bootstrap_test, lacks_fit, retested
@@ -157,7 +157,7 @@ def _save(base: Base, searched: Searched, run: Run) -> None:
     fitted, contest = searched.fitted, searched.fitted.contest
     models = [vars(m) | {"fit": {**vars(m.fit), "batch": vars(m.fit.batch)}} for m in (fitted.base, *fitted.models)]
     noise = {"sigma": contest.sigma, "overdispersion": contest.overdispersion}
-    noise["nuisance"] = {key: getattr(contest.nuisance, key) for key in ("columns", "mean", "names", "low", "high")}
+    noise["nuisance"] = {f.name: getattr(contest.nuisance, f.name) for f in fields(Nuisances)}
     noise["colour"] = None if contest.colour is None else vars(contest.colour)
     run.keep.save("search", {"models": models, "p_value": searched.p_value, "doubted": base.doubted, **noise})
 

@@ -18,6 +18,7 @@ from ...sim.base.errors import InputError
 from ...sim.base.types import Array
 from ..cases.case import BranchCase, JointCase
 from ..cases.noise import difference_sigma, estimate_noise
+from ..systems.system import values_of
 from .equation_error import low_pass, torque_recordings
 from .recording import recordings
 from .rollout import Rollout
@@ -183,8 +184,8 @@ def moved_by_noise(case: JointCase) -> float:
 
 def _typical(rollout: Rollout, sets: int) -> torch.Tensor:
     """Return typical values of a rollout's parameters, so many times, [sets, n]."""
-    row = [float(np.exp(p.start)) if p.scale == "log" else p.start for p in rollout.system.parameters]
-    return torch.tensor([row] * sets, dtype=torch.float64)
+    parameters = rollout.system.parameters
+    return values_of(parameters, torch.tensor([[p.start for p in parameters]] * sets, dtype=torch.float64))
 
 
 def _rates(case: JointCase) -> list[float]:

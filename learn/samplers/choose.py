@@ -73,15 +73,13 @@ def make_sampler(
             package's sampler raises an error.
     """
     kind = SAMPLERS.of(name, "sampler", "method")
-    if step_size is None:
-        with SAMPLERS.running(name):
-            return kind.make(particles, iterations=iterations, seed=seed)
-    if not kind.has_step:
+    if step_size is not None and not kind.has_step:
         raise InputError(name, "step_size", f"{step_size:g}", "none: this sampler finds its own")
-    if not 0.0 < step_size <= 1.0:
+    if step_size is not None and not 0.0 < step_size <= 1.0:
         raise InputError(name, "step_size", f"{step_size:g}", "above 0, at most 1")
+    step = {} if step_size is None else {"step_size": step_size}
     with SAMPLERS.running(name):
-        return kind.make(particles, iterations=iterations, seed=seed, step_size=step_size)
+        return kind.make(particles, iterations=iterations, seed=seed, **step)
 
 
 def sample(

@@ -22,6 +22,9 @@ from .system import Parameter, Write, bounded
 Kind = Literal["stiffness", "damping", "density", "rest_angle"]
 Joints = Literal["spherical", "revolute"]
 
+#: Longest and shortest step [s], and the largest phase that the swing of a held segment turns by in one [rad].
+LONGEST, SHORTEST, TURN = 2.5e-3, 2e-4, 0.05
+
 
 @dataclass(frozen=True)
 class Unknowns:
@@ -65,15 +68,13 @@ class BranchSystem:
     #: so explicit springs are stable there only with D / K above half a substep. Below, the simulator makes springs of
     #: all joints partly implicit at once; that jump in the dynamics splits a posterior into spurious modes.
     LEAST_RELAXATION = 0.6
-    #: Longest and shortest step [s], and the largest phase that the swing of a held segment turns by in one [rad].
-    LONGEST, SHORTEST, TURN = 2.5e-3, 2e-4, 0.05
     TYPICAL_YOUNG, TYPICAL_RELAXATION = 5e8, 0.02
 
     def __init__(self, branch: MeasuredBranch, unknowns: Unknowns | None = None) -> None:
         self.branch, self.unknowns = branch, unknowns or Unknowns()
         self.gravity = np.array([0.0, 0.0, -branch.gravity])
         self._rho = float(getattr(branch, "density", 1000.0))
-        self.substep = min(self.LONGEST, max(self.SHORTEST, self.TURN / max(_swing(branch), 1e-9)))
+        self.substep = substep_of(branch)
         self._per_young = np.pi * branch.radius.mean(axis=1) ** 4 / (2.0 * branch.length)
         spring = self.TYPICAL_YOUNG * self._per_young
         self._slots: list[tuple[Kind, list[int]]] = []
@@ -189,16 +190,22 @@ class BranchSystem:
                     write(field, int(model.link_place[self.first + i]), c, block[:, i, c])
 
 
+def substep_of(branch: MeasuredBranch) -> float:
+    """Return the longest step [s] of a branch, in which the segments that are held swing by at most `TURN`."""
+    swing = _swing(branch)
+    return min(LONGEST, max(SHORTEST, TURN / swing)) if swing > 0.0 else LONGEST
+
+
 def _swing(branch: MeasuredBranch) -> float:
     """Return about how fast the segments that are held swing [rad/s]; zero where no recording says.
 
     As a rigid segment on a spring: force over displacement while it is held, against its mass as felt there.
     """
-    found = [0.0]
+    found = []
     for t in branch.trajectories if isinstance(branch, BranchCase) else ():
         held = ~t.no_contact
         moved, force = (float((x[held] ** 2).sum()) for x in (t.displacement, t.force))
         arm = max(t.grasp_distance / float(branch.length[t.grasp_segment]), 0.2)
         felt = float(branch.mass[t.grasp_segment]) / (3.0 * arm**2)
         found.append(np.sqrt(np.sqrt(force / moved) / felt) if moved > 0.0 else 0.0)
-    return float(np.median(found[1:])) if len(found) > 1 else 0.0
+    return float(np.median(found)) if found else 0.0

@@ -176,8 +176,12 @@ def _solved(matrix: torch.Tensor, right: torch.Tensor, at: torch.Tensor, held: t
     """Solve ``matrix x = right`` [S, p] for the entries that are not held; the held ones are ``at``."""
     known = torch.where(held, at, 0.0)
     rest = torch.where(held, at, right - (matrix @ known[..., None])[..., 0])
-    own = torch.where(held[:, :, None] | held[:, None], torch.diag_embed(held.to(matrix)), matrix)
-    return torch.nan_to_num(torch.linalg.solve(own, rest[..., None])[..., 0])
+    return torch.nan_to_num(torch.linalg.solve(_without(matrix, held), rest[..., None])[..., 0])
+
+
+def _without(matrix: torch.Tensor, held: torch.Tensor) -> torch.Tensor:
+    """Return matrices [S, p, p] with the rows and columns of the entries that are held [S, p] from the identity."""
+    return torch.where(held[:, :, None] | held[:, None], torch.diag_embed(held.to(matrix)), matrix)
 
 
 def normal_equations(
@@ -213,8 +217,7 @@ def _eliminated(
     fixed = torch.where(held, found, 0.0)
     mixed = own.along(flat, batch.weight)
     loose = torch.where(held[:, None], 0.0, mixed)
-    apart = held[:, :, None] | held[:, None]
-    factor = torch.linalg.cholesky(torch.where(apart, torch.diag_embed(held.to(precision)), precision))
+    factor = torch.linalg.cholesky(_without(precision, held))
     rest = torch.where(held, 0.0, pull - (precision @ fixed[..., None])[..., 0])
     through = torch.cholesky_solve(torch.cat([loose.transpose(1, 2), rest[..., None]], 2), factor)
     out = loose @ through

@@ -69,10 +69,8 @@ def test_nuisances_are_a_part_of_the_covariance(contest):
     noisy(contest)
     rng = torch.Generator().manual_seed(1)
     shape = (3, len(contest.recordings), contest.measured[0].numel())
-    columns, mean = (
-        0.3 * torch.randn(shape, generator=rng, dtype=torch.float64),
-        torch.tensor([0.5, -1.0, 0.0]).double(),
-    )
+    columns = 0.3 * torch.randn(shape, generator=rng, dtype=torch.float64)
+    mean = torch.tensor([0.5, -1.0, 0.0], dtype=torch.float64)
     contest.nuisance = Nuisances(columns, mean, ("a", "b", "c"), mean - 99.0, mean + 99.0)
     batch = contest.base_batch(1)
     batch.free[:, :2] += 0.1
