@@ -31,8 +31,9 @@ from ..systems.branch import BranchSystem, Unknowns
 from .recording import Recording
 from .rollout import Rollout
 
-#: Pulses simulated per recording and axis; between them the earlier one's response is shifted in time.
-PULSES = 32
+#: Fewest and most pulses simulated per recording and axis, one in so many samples; between them the earlier one's
+#: response is shifted in time.
+PULSES, APART = (16, 32), 7
 #: Independent noise values per recording and axis; in longer recordings each covers several samples. Averaging loses
 #: fast noise, to which a branch that swings once in five samples responds most.
 PIECES = 320
@@ -130,7 +131,8 @@ def _undamaged(case: BranchCase, unknowns: Unknowns | None, sets: torch.Tensor) 
 
 def _moments(length: int) -> Array:
     """Return the samples at which pulses act; the first sample's pulse only falls, all others rise and fall."""
-    return np.unique(np.concatenate([[0], np.linspace(1, length - 2, PULSES).astype(int)]))
+    count = int(np.clip(length // APART, *PULSES))
+    return np.unique(np.concatenate([[0], np.linspace(1, length - 2, count).astype(int)]))
 
 
 def _pulse(r: Recording, sample: int, axis: int, size: float) -> Recording:
