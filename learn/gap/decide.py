@@ -67,6 +67,7 @@ class Decision:
         alternatives: For each of them the names that these data cannot tell from it.
         nearest: For ``unknown`` the closest name, not claimed; None if the data cannot support a verdict.
         unstable: What would change the verdict of measured joints, see `steady`.
+        may_be_off: For ``unknown`` the labels of the preferred model's effects that may as well be off.
     """
 
     verdict: VerdictName
@@ -77,6 +78,7 @@ class Decision:
     alternatives: dict[str, tuple[str, ...]] = field(default_factory=dict)
     nearest: str | None = None
     unstable: tuple[str, ...] = ()
+    may_be_off: tuple[str, ...] = ()
 
 
 def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
@@ -91,7 +93,9 @@ def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
     if verdict == "none":
         return Decision(verdict, models.base, model, models.base)
     nearest = None if base.unusable or not model.members else candidates[leading(models, model)].name
-    return Decision(verdict, models.base, model, model, nearest=nearest)
+    tried = model.members and not base.unusable
+    off = tuple(candidates[c].acting.label for c in doubtful(models, model)) if tried else ()
+    return Decision(verdict, models.base, model, model, nearest=nearest, may_be_off=off)
 
 
 def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> VerdictName:
@@ -118,7 +122,15 @@ def _borne_out(fitted: FittedModels, model: Model) -> Model:
         if inner is None or (not off and pays(fitted, model, inner)):
             break
         model = inner
-    return model
+    return _for_certain(fitted, model)
+
+
+def _for_certain(fitted: FittedModels, model: Model) -> Model:
+    """Return the model, or where its one effect may as well be off, one that fits as well with an effect that is on."""
+    if len(model.members) != 1 or not doubtful(fitted, model):
+        return model
+    tied = [m for m in fitted.of_size(1) if fitted.criterion(m) - fitted.criterion(model) < TIED]
+    return next((m for m in tied if not doubtful(fitted, m)), model)
 
 
 def pays(fitted: FittedModels, model: Model, inner: Model) -> bool:

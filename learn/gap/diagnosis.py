@@ -192,6 +192,7 @@ class Diagnosis:
         ahead: Whether named effects predict experiments left out better than the base model does, beside nuisances that
             explain more than the tolerance; the gap is without these.
         unstable: What changes the verdict, such as ``a filter of 25 Hz names backlash``; empty if nothing does.
+        may_be_off: For ``unknown`` the labels of tried effects whose interval reaches where they do nothing.
     """
 
     case: BranchCase | JointCase
@@ -230,6 +231,7 @@ class Diagnosis:
     remarks: tuple[str, ...] = ()
     fit: dict[str, str] = field(default_factory=dict)
     unstable: tuple[str, ...] = ()
+    may_be_off: tuple[str, ...] = ()
     geometry: Geometry = field(default_factory=Geometry)
     ahead: bool = False
 
@@ -261,7 +263,7 @@ class Diagnosis:
             "p_null": finite(self.p_null), "next_experiment": self.next_experiment, "sentence": self.sentence,
             "explained": finite(self.explained), "not_understood": list(self.not_understood),
             "remarks": list(self.remarks), "implausible": list(self.implausible), "fit": self.fit,
-            "unstable": list(self.unstable),
+            "unstable": list(self.unstable), "may_be_off": list(self.may_be_off),
         }  # fmt: skip
 
 

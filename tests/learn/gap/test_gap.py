@@ -10,6 +10,7 @@ import torch
 from bough.learn.cases.case import BranchCase, load_case
 from bough.learn.cases.noise import estimate_noise
 from bough.learn.exam.grades import as_text, grades
+from bough.learn.gap import decide
 from bough.learn.gap.decide import alternatives, chosen, known, leading
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
@@ -225,6 +226,17 @@ def test_of_names_that_tie_the_one_that_goes_further_leads():
     assert chosen(field_of({(0,): 1500, (2,): 1505, (1, 2): 1450}), 2).members == (2,)
     assert chosen(field_of({(0,): 1500, (2,): 1505, (1, 2): 1480}), 2).members == (0,)
     assert chosen(field_of({(0,): 1500, (2,): 1550, (1, 2): 1450}), 2).members == (0,)
+
+
+def test_of_names_that_tie_one_that_is_on_for_certain_leads(monkeypatch):
+    """Take the second best by five squares where the best may as well be off; not one that is clearly worse."""
+    off = {(0,)}
+    monkeypatch.setattr(decide, "doubtful", lambda _, model: model.members if model.members in off else ())
+    tied, apart = field_of({(0,): 1500, (2,): 1505}), field_of({(0,): 1500, (2,): 1550})
+    assert decide._borne_out(tied, tied.models[0]).members == (2,)
+    assert decide._borne_out(apart, apart.models[0]).members == (0,)
+    off.add((2,))
+    assert decide._borne_out(tied, tied.models[0]).members == (0,)
 
 
 def test_the_nearest_name_is_what_explains_most_alone():

@@ -56,6 +56,7 @@ NUMBERS = {
     "unusable": st.sampled_from([None, None, "27 samples are too few for 7 unknowns; record 70 or more"]),
     "scatter": st.one_of(st.none(), POSITIVE),
     "unstable": st.booleans(),
+    "may_be_off": st.booleans(),
     "implausible": st.booleans(),
     "instead": st.sampled_from(["", "", "", "held point along 23 deviations off"]),
     "askew": st.one_of(st.just((0.0, 1.0)), st.tuples(st.floats(0, 0.5), st.floats(-12, 0).map(lambda x: 10.0**x))),
@@ -85,6 +86,7 @@ def made(cases, n) -> Diagnosis:
         tried=tried, size=n["size"], swing=n["swing"], scatter=n["scatter"], unusable=n["unusable"],
         remarks=("Joint a moves in one direction only.",) if n["remark"] else (),
         unstable=("a filter of 25 Hz gives backlash",) if n["unstable"] and n["verdict"] != "none" else (),
+        may_be_off=tried[:1] if n["may_be_off"] and n["verdict"] == "unknown" else (),
         geometry=Geometry(n["askew"][0], "force sensor about y, 4.1 deviations off", n["askew"][1], n["instead"]),
         implausible=("dry_friction@0 torque_Nm 751 N m",) if n["implausible"] and named else (),
     )  # fmt: skip
@@ -188,7 +190,7 @@ def test_the_reader_stumbles_over_pages_that_were_not_checked(cases) -> None:
 
 PLAIN = {"verdict": "none", "recordings": 3, "base": 0.0105, "repaired": None, "floor": 0.01, "swing": 1.0, "p": 0.4,
          "explained": 0.2, "chi2": 1.1, "size": 0.001, "count": 1, "broken": None, "remark": False, "unusable": None,
-         "scatter": None, "unstable": False, "implausible": False, "askew": (0.0, 1.0),
+         "scatter": None, "unstable": False, "may_be_off": False, "implausible": False, "askew": (0.0, 1.0),
          "instead": ""}  # fmt: skip
 NAMED = PLAIN | {"verdict": "effects", "p": 1e-9, "explained": 0.95, "chi2": 5.0, "repaired": 0.0101, "base": 0.03}
 
@@ -220,6 +222,8 @@ NAMED = PLAIN | {"verdict": "effects", "p": 1e-9, "explained": 0.95, "chi2": 5.0
         (NAMED | {"repaired": 0.025}, "unknown", "hardly shrinks with it, from 0.03 m to 0.025 m, 2.5 times the noise"),
         (NAMED | {"implausible": True}, "effects", "Treat the name as a stand-in"),
         (NAMED | {"verdict": "unknown", "unstable": True}, "unknown", "a filter of 25 Hz gives backlash"),
+        (NAMED | {"verdict": "unknown", "may_be_off": True}, "unknown", "explains 95 % of the excess misfit, but"),
+        (NAMED | {"verdict": "unknown", "may_be_off": True}, "unknown", "may as well be off"),
     ],
 )  # fmt: skip
 def test_what_is_said_of_each_kind(cases, numbers, verdict, words) -> None:
