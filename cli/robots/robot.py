@@ -16,6 +16,7 @@ from ..base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from ...learn.robot.backend import Backend
+    from ...learn.robot.limits import Limits
     from ...learn.robot.touch import Feeler
     from ...sim.arms.arm import Arm
 
@@ -129,7 +130,7 @@ class Serve:
         if self.scene is not None:
             from ...learn.deploy.stage import Stage, scene_plan
 
-            return Stage(scene_plan(self.scene), self.seed)
+            return Stage(scene_plan(self.scene, "robot serve"), self.seed)
         from ...learn.robot.twin import Twin
         from ...sim.engine.effect_words import read_effects
 
@@ -153,24 +154,38 @@ class Serve:
 
 @dataclass(frozen=True)
 class PrintLimits:
-    """Print the default limits of the Jaco 2, as a file for --limits. Exit code 0: done.
+    """Print limits of the Jaco 2, as a file for --limits. Exit code 0: done; 2: bad input.
 
     Attributes:
-        wrist: Of the Jaco 2.
+        scene: powerline or reach, or the folder of a run of bough train, as for serve: the limits within which its
+            policies learn. Joints speed up as fast as actions can ask for, and servos give all of their torque. The
+            defaults are narrower; with them such a policy is slower and is stopped now and then.
+        wrist: Of the Jaco 2; a scene has its own.
         json: Print them as JSON instead of YAML; null where a joint turns without end.
     """
 
+    scene: str | None = None
     wrist: Wrist = "curved"
     json: bool = False
 
     def run(self) -> int:
         """Print; return 0."""
-        from ...learn.robot.limits import default_limits, written
-        from ...sim.arms.jaco2 import jaco2
+        from ...learn.robot.limits import written
 
-        text = written(default_limits(jaco2(self.wrist)))
+        text = written(self._limits())
         tell(text, {key: _finite(value) for key, value in yaml.safe_load(text).items()}, self.json)
         return ExitCode.DONE
+
+    def _limits(self) -> Limits:
+        from ...learn.robot.limits import default_limits
+        from ...sim.arms.jaco2 import jaco2
+
+        if self.scene is None:
+            return default_limits(jaco2(self.wrist))
+        from ...learn.deploy.plan import limits_of
+        from ...learn.deploy.stage import scene_plan
+
+        return limits_of(scene_plan(self.scene, "robot limits"))
 
 
 def _finite(value: Any) -> Any:

@@ -223,8 +223,12 @@ def _row(array: Any) -> Array:
     return np.array(wp.to_torch(array)[0].numpy())
 
 
-def scene_plan(scene: str) -> Plan:
+def scene_plan(scene: str, command: str) -> Plan:
     """Return the plan of a scene: ``powerline`` or ``reach`` of the preset ``cpu``, or that of a run, by its folder.
+
+    Args:
+        scene: The scene.
+        command: What errors name.
 
     Raises:
         InputError: There is neither such a task nor such a run, or its task is none that an arm can be given.
@@ -233,9 +237,9 @@ def scene_plan(scene: str) -> Plan:
 
     registry = known_tasks()
     if scene in (CLEARS, REACHES):
-        return plan_of(scene, registry.of(scene).presets["cpu"], "robot serve --scene")
+        return plan_of(scene, registry.of(scene).presets["cpu"], f"{command} --scene")
     if not Path(scene).is_dir():
-        raise InputError("robot serve", "--scene", scene, f"{CLEARS}, {REACHES}, or the folder of a run")
+        raise InputError(command, "--scene", scene, f"{CLEARS}, {REACHES}, or the folder of a run")
     folder = RunFolder(Path(scene))
     config, source = folder.config(), folder.path / CONFIG
     name = config["task"]["name"]

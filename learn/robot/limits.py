@@ -32,6 +32,9 @@ LEASE = 0.100
 RAMP = 0.030
 """How long the way to standstill may take after a lease or at a stop [s]: with a tick it ends within 150 ms."""
 
+FASTEST = 30.0
+"""Most that a file may let a joint speed up by [rad/s^2]."""
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -139,7 +142,7 @@ def read_limits(path: Path, arm: Arm) -> Limits:
 def _problem(name: str, limits: Limits, arm: Arm, unit: float) -> tuple[str, str] | None:
     """Return what is wrong with one field and what is allowed, None where nothing is."""
     value = getattr(limits, name)
-    most = {"speed": arm.velocity_limit, "torque": arm.torque_limit, "acceleration": np.full(arm.num_dofs, 30.0)}
+    most = {"speed": arm.velocity_limit, "torque": arm.torque_limit, "acceleration": np.full(arm.num_dofs, FASTEST)}
     if name.startswith("workspace"):
         good = np.shape(value) == (3,) and bool((limits.workspace_low < limits.workspace_high).all())
         return None if good else (f"{_listed(value, unit)}", "three numbers, low below high")

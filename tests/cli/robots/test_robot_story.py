@@ -369,3 +369,10 @@ def test_options_that_cannot_be_are_refused(inside, tmp_path):
 
     read, default = read_limits(limits, jaco2()), default_limits(jaco2())
     assert read.speed == pytest.approx(default.speed) and read.lower == pytest.approx(default.lower)
+    wide = inside("robot", "limits", "--scene", "powerline")
+    limits.write_text(wide.out)
+    read = read_limits(limits, jaco2())
+    # actions are joint speeds, ten a second: from one limit of the speed to the other in a tenth of a second
+    assert read.acceleration == pytest.approx(20.0 * jaco2().velocity_limit, rel=1e-5)
+    assert read.torque == pytest.approx(jaco2().torque_limit) and read.lease == default.lease
+    inside("robot", "limits", "--scene", "nowhere").refused("robot limits", "--scene", "nowhere", "powerline, reach")

@@ -84,7 +84,7 @@ def test_scenes_differ_come_again_and_are_told():
 
 def test_cameras_are_told_of_arm_branches_and_line():
     """Unpack a clearing scene as cameras get it: all three kinds, the line as long as the truth says."""
-    stage = Stage(scene_plan("powerline"), 1)
+    stage = Stage(scene_plan("powerline", "robot serve"), 1)
     world = scene_of(stage.scene()).world
     assert {Label.ROBOT, Label.BRANCH, Label.LINE} <= set(world.label)
     k = int(np.flatnonzero(world.label == Label.LINE)[0])
@@ -106,6 +106,6 @@ def test_scenes_that_are_none_are_refused(tmp_path):
     """Refuse a scene that is no task of an arm, an empty folder, and a task at another rate."""
     for scene in ("exposure", str(tmp_path / "nothing"), str(tmp_path)):
         with pytest.raises(InputError):
-            scene_plan(scene)
+            scene_plan(scene, "robot serve")
     with pytest.raises(InputError, match="60 Hz"):
         plan_of("reach", ReachSettings(control_rate=120.0), "test")

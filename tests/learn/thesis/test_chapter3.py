@@ -4,6 +4,7 @@ import html
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import tyro
 from bough.cli.reproduce import Reproduce
 from bough.learn.reports.page import KeyNumber, ReportContent, ReportTable, write_report
 from bough.learn.thesis.chapter3 import baselines, figures, literal, prior, robust
+from bough.learn.thesis.chapter3 import bench as bench_module
 from bough.learn.thesis.chapter3 import report as chapter3_report
 from bough.learn.thesis.chapter3.bench import KT, Bench, Scores
 from bough.learn.thesis.chapter3.cost import Cost, exponent, linear_fit
@@ -21,6 +23,9 @@ from bough.sim.base.console import start_warp
 from bough.sim.base.errors import InputError
 from oracles import json_page
 from scipy import stats
+
+#: Samples of a record where the whole chapter is run.
+SAMPLES = 40
 
 
 @pytest.fixture(scope="module")
@@ -347,12 +352,16 @@ def command_of(out, *options):
 
 @pytest.fixture
 def sparse(monkeypatch):
-    """Keep of every sweep's values the ends, and what the report singles out."""
+    """Keep of every sweep's values the ends, and what the report singles out; a third of the samples."""
     for module in (prior, chapter3_report):
         monkeypatch.setattr(module, "TEMPERATURES", (prior.KT, prior.ETA_KT, prior.TEMPERATURES[-1]))
     monkeypatch.setattr(robust, "NOISES", (robust.NOISES[0], robust.NOISES[-1]))
     monkeypatch.setattr(literal, "SEEDS", 2)
     monkeypatch.setattr(literal, "ETAS", (100.0,))
+    monkeypatch.setattr(bench_module, "PUSH", replace(bench_module.PUSH, samples=SAMPLES))
+    monkeypatch.setitem(robust.make_case.__kwdefaults__, "samples", SAMPLES)
+    for module in (robust, literal):
+        monkeypatch.setattr(module, "STAND_INS", tuple((*s[:2], SAMPLES, s[3]) for s in module.STAND_INS))
 
 
 def test_command_writes_everything(tmp_path, capsys, sparse):
@@ -378,7 +387,7 @@ def test_command_writes_everything(tmp_path, capsys, sparse):
     assert len(pictures) == 8 == text.count("data:image/png;base64,")
     assert not re.search(r"https?:", text)
     own = {row[0]: row for row in kept["tables"]["table_a_1"]["rows"]}["bough, NNSVGD, R = 3"]
-    # every iteration moves 12 particles with 13 offsets on 5 records of 120 samples; the search for modes comes on top
-    assert own[5] > 11 * 12 * 13 * 5 * 120
+    # every iteration moves 12 particles with 13 offsets on 5 records of 40 samples; the search for modes comes on top
+    assert own[5] > 11 * 12 * 13 * 5 * SAMPLES
     converged = [row[-1] == "yes" for row in kept["tables"]["table_a_1"]["rows"][:2]]
     assert code == (0 if all(converged) else 3)
