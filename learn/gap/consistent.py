@@ -281,7 +281,7 @@ def _unknown(d: Diagnosis) -> str:
         name = error_name(d)
         return (f"{text} of the recordings it was fitted to, but does not carry over: with it the {name} grows from"
                 f" {_gap(d, d.gap.base)} to {_gap(d, d.gap.repaired)}.")  # fmt: skip
-    if d.may_be_off:
+    if d.may_be_off and d.explained > 0.5:
         return (
             f"{text}, but {' and '.join(d.may_be_off)} may as well be off: the interval reaches where it does nothing."
         )
