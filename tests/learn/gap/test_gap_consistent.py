@@ -142,8 +142,8 @@ def contradictions(found: Diagnosis, text: str) -> list[str]:
         "no p-value of what was not tested": found.unusable is None or "p-value" not in text,
         "remarks are said": all(r in found.sentence for r in found.remarks),
         "unknown without a reason": found.verdict != "unknown" or any(
-            x in text for x in ("not enough to claim", "as well be off", "grows from", "contradict", "cannot support", "name no effect",
-                                "verdict hangs on")),
+            x in text for x in ("not enough to claim", "as well be off", "grows from", "contradict", "cannot support",
+                                "name no effect", "verdict hangs on")),
     }  # fmt: skip
     out += [name for name, holds in checks.items() if not holds]
     for a, b in re.findall(r"reduces the [^:]*? from ([\d.e+-]+) to ([\d.e+-]+)", found.sentence):
