@@ -36,7 +36,7 @@ from bough.learn.deploy.simulated import SimulatedTwin
 from bough.learn.deploy.stage import Stage, make_world
 from bough.learn.deploy.truth import TruthClouds
 from bough.learn.policies.tables import wilson
-from bough.learn.robot.limits import default_limits
+from bough.learn.robot.limits import FASTEST, default_limits
 from bough.learn.runs.threads import one_thread
 from bough.learn.tasks.registry import known_tasks
 from bough.sim.base.console import start_warp
@@ -46,8 +46,6 @@ from measuring import Figure
 
 DELAY = 0.033
 """How old perfect clouds are when they are told [s]: a picture's time."""
-ACCELERATION = 30.0
-"""What the guard lets joints speed up by [rad/s^2]: a clearing action asks for up to 15."""
 
 
 class SeenTwin:
@@ -146,7 +144,7 @@ def end_to_end(driver: Driver, seed: int, count: int, camera: str, accelerate: b
     """Return whether the policy succeeds in each scene of the twin, and print how episodes ended."""
     limits = default_limits(driver.plan.arm)
     if accelerate:
-        limits = replace(limits, acceleration=np.full(driver.plan.arm.num_dofs, ACCELERATION))
+        limits = replace(limits, acceleration=np.full(driver.plan.arm.num_dofs, FASTEST))
     twin = SimulatedTwin(Stage(driver.plan, seed), limits, delay=DELAY)
     seen: Any = None
     if driver.plan.seeing:
@@ -172,7 +170,7 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--run", type=Path, help="folder of bough train; a policy of reach is trained if not given")
     out.add_argument("--camera", choices=("truth", "twin"), default="truth", help="what a clearing policy sees by")
     out.add_argument("--episodes", type=int, default=100)
-    out.add_argument("--accelerate", action="store_true", help=f"let joints speed up by {ACCELERATION:g} rad/s^2")
+    out.add_argument("--accelerate", action="store_true", help=f"let joints speed up by {FASTEST:g} rad/s^2")
     return out
 
 

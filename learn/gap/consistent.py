@@ -29,6 +29,8 @@ READ = {"m": (100.0, "cm"), "rad": (math.degrees(1.0), "deg"), "rad_per_s": (mat
 #: of exams left 0.42 of it or less, or came within 1.3 times the noise; a wrong one left 0.97 of an error of 142 % of
 #: the motion and explained 99.7 % of the excess chi-squared.
 HARDLY = 0.8
+#: Share explained above which a name's being off may be told as what keeps it from being claimed.
+HALF = 0.5
 
 Rule = Callable[[Diagnosis], str | None]
 
@@ -281,10 +283,9 @@ def _unknown(d: Diagnosis) -> str:
         name = error_name(d)
         return (f"{text} of the recordings it was fitted to, but does not carry over: with it the {name} grows from"
                 f" {_gap(d, d.gap.base)} to {_gap(d, d.gap.repaired)}.")  # fmt: skip
-    if d.may_be_off and d.explained > 0.5:
-        return (
-            f"{text}, but {' and '.join(d.may_be_off)} may as well be off: the interval reaches where it does nothing."
-        )
+    if d.may_be_off and d.explained > HALF:
+        off = " and ".join(d.may_be_off)
+        return f"{text}, but {off} may as well be off: the interval reaches where it does nothing."
     return f"{text}, which is not enough to claim it."
 
 

@@ -85,7 +85,7 @@ def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
     """Return the verdict, the preferred model and the named effects."""
     models = searched.fitted
     model = _borne_out(models, chosen(models, settings.max_effects))
-    verdict = _verdict(base, searched, model, settings.tolerance)
+    verdict, off = _verdict(base, searched, model, settings.tolerance)
     candidates = models.contest.candidates
     if verdict == "effects":
         named = tuple(candidates[c].acting for c in model.members)
@@ -93,20 +93,20 @@ def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
     if verdict == "none":
         return Decision(verdict, models.base, model, models.base)
     nearest = None if base.unusable or not model.members else candidates[leading(models, model)].name
-    tried = model.members and not base.unusable
-    off = tuple(candidates[c].acting.label for c in doubtful(models, model)) if tried else ()
-    return Decision(verdict, models.base, model, model, nearest=nearest, may_be_off=off)
+    may_be_off = tuple(candidates[c].acting.label for c in off)
+    return Decision(verdict, models.base, model, model, nearest=nearest, may_be_off=may_be_off)
 
 
-def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> VerdictName:
+def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> tuple[VerdictName, tuple[int, ...]]:
+    """Return the verdict, and the effects of the model that may as well be off where that was looked at."""
     if base.unusable is not None:
-        return "unknown"
+        return "unknown", ()
     models = searched.fitted
     small = searched.p_value > ALARM or size(models, model, base.motion) < tolerance
     if small and not lacks_fit(models, tolerance * base.motion):
-        return "none"
-    certain = not doubtful(models, model)
-    return "effects" if certain and known(models, model) else "unknown"
+        return "none", ()
+    off = doubtful(models, model)
+    return "effects" if not off and known(models, model) else "unknown", off
 
 
 def _borne_out(fitted: FittedModels, model: Model) -> Model:

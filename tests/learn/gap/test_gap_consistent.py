@@ -222,8 +222,8 @@ NAMED = PLAIN | {"verdict": "effects", "p": 1e-9, "explained": 0.95, "chi2": 5.0
         (NAMED | {"repaired": 0.025}, "unknown", "hardly shrinks with it, from 0.03 m to 0.025 m, 2.5 times the noise"),
         (NAMED | {"implausible": True}, "effects", "Treat the name as a stand-in"),
         (NAMED | {"verdict": "unknown", "unstable": True}, "unknown", "a filter of 25 Hz gives backlash"),
-        (NAMED | {"verdict": "unknown", "may_be_off": True}, "unknown", "explains 95 % of the excess misfit, but"),
-        (NAMED | {"verdict": "unknown", "may_be_off": True}, "unknown", "may as well be off"),
+        (NAMED | {"verdict": "unknown", "may_be_off": True}, "unknown",
+         "explains 95 % of the excess misfit, but dry_friction@0 may as well be off"),
     ],
 )  # fmt: skip
 def test_what_is_said_of_each_kind(cases, numbers, verdict, words) -> None:
