@@ -27,7 +27,6 @@ GALLERY = remake.blocks_of_the_gallery()
 
 #: Options that pages show with a command and that no test gives it, with the reason.
 NOT_RUN = {
-    ("robot serve", "--scene"): "typed by cli/robots/test_run_story.py, through an oracle that types the rest",
     ("run", "--calibration"): "belongs to a real camera; learn/cameras/test_sources.py reads such files",
     ("reproduce", "--preset"): "half an hour and more a policy; bough train runs the presets",
 }

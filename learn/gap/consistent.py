@@ -261,7 +261,7 @@ def stand_in(implausible: Sequence[str]) -> list[str]:
 
 
 def _none(d: Diagnosis) -> str:
-    numbers = f"{error_name(d)} {_gap(d, d.gap.base)}, noise floor {d.gap.noise_floor:.3g}"
+    numbers = f"{error_name(d)} {_gap(d, d.gap.base)}, noise floor {d.gap.noise_floor:.3g}{_beside(d)}"
     if not significant(d) and not far(d):
         return f"No missing effect is detectable in these data: {numbers}."
     nothing = f"Nothing larger than the tolerance of {percent(d.settings.tolerance)} of the motion is missing"
@@ -269,6 +269,13 @@ def _none(d: Diagnosis) -> str:
         best = f"the best candidate changes the motion by {percent(d.size)} (p = {d.p_null:.1g}; {numbers})"
         return f"{nothing}: {best}."
     return f"{nothing}: {numbers}, a misfit of {percent(left_over(d))} of the motion."
+
+
+def _beside(d: Diagnosis) -> str:
+    """Return what of an error beyond the noise the file's own uncertainty accounts for."""
+    if not far(d) or d.geometry.share <= d.settings.tolerance:
+        return ""
+    return f", of which geometry and mountings, no further off than the file allows, make {percent(d.geometry.share)}"
 
 
 def _unknown(d: Diagnosis) -> str:

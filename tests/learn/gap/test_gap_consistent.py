@@ -108,6 +108,8 @@ def contradictions(found: Diagnosis, text: str) -> list[str]:
     ratio = gap.base / gap.noise_floor
     sure = found.p_null <= ALARM or found.base_reduced_chi2 > 1.0 + LACK
     excess = math.sqrt(max(gap.base**2 - gap.noise_floor**2, 0.0)) / found.swing if ratio > FAR else 0.0
+    if "geometry and mountings, no further off" in text:
+        excess = math.sqrt(max(excess**2 - found.geometry.share**2, 0.0))
     if found.base_reduced_chi2 > 1.0 + LACK:
         excess = max(excess, math.sqrt(found.base_reduced_chi2 - 1.0) / found.motion)
     claims = {
