@@ -30,7 +30,7 @@ import measuring
 import numpy as np
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.probing.folder import Folder
-from bough.learn.probing.hand import Ways
+from bough.learn.probing.hand import ForceError, Ways
 from bough.learn.probing.loop import Budget, Prober
 from bough.learn.probing.menu import FIXED
 from bough.learn.probing.rounds import Finding
@@ -92,13 +92,16 @@ def probed(design: str, seed: int, hiding: Hiding, segments: int, settings: Sett
     kind = {"fixed": FixedProber, "proposed": Prober}[design]
     prober = kind(SteppedRobot(twin, default_limits(arm)), arm, read_structure(folder / "branch.yaml"), own,
                   ways=Ways(), budget=Budget(MOST), settings=settings, say=lambda _text: None)  # fmt: skip
-    outcome = prober.run()
-    findings = [f for f in outcome.findings if not f.reason]
-    last = findings[-1]
-    right = {hiding.name}
-    settled = outcome.recordings if outcome.settled else None
-    return Ended(design, since(findings, right), settled, last.effects, set(last.names) == right,
-                 None if np.isinf(last.width) else last.width)  # fmt: skip
+    try:
+        ended = prober.run().settled is not None
+    except ForceError:  # as far as it came
+        ended = False
+    findings = [f for f in own.findings() if not f.reason]
+    if not findings:
+        return Ended(design, None, None, (), False, None)
+    last, right = findings[-1], {hiding.name}
+    return Ended(design, since(findings, right), last.recordings if ended else None, last.effects,
+                 set(last.names) == right, None if np.isinf(last.width) else last.width)  # fmt: skip
 
 
 def since(findings: list[Finding], right: set[str]) -> int | None:
@@ -117,11 +120,13 @@ def measured(options: argparse.Namespace) -> list[Figure]:
     rng = np.random.default_rng([options.seed, 90])
     names = rng.permutation(options.effects or twin_effects()).tolist()
     settings = Settings(effects=tuple(options.effects), particles=0, max_effects=1)
-    rows: list[dict] = []
+    rows = kept(options.rows)
     for k in range(count):
         name, seed = names[k % len(names)], int(rng.integers(2**31))
         hiding = Hiding(name, None, float(np.exp(rng.uniform(*np.log(SIZES)))))
         for design in ("proposed", "fixed"):
+            if any((r["branch"], r["design"]) == (k + 1, design) for r in rows):
+                continue
             clock = time.process_time()
             with tempfile.TemporaryDirectory() as work:
                 ended = probed(design, seed, hiding, options.segments, settings, Path(work) / "probe")
@@ -133,6 +138,11 @@ def measured(options: argparse.Namespace) -> list[Figure]:
                 with open(options.rows, "a") as file:
                     file.write(json.dumps(row) + "\n")
     return told(rows)
+
+
+def kept(rows: Path | None) -> list[dict]:
+    """Return the rows that an earlier run with the same options has left."""
+    return [json.loads(line) for line in rows.read_text().splitlines()] if rows and rows.exists() else []
 
 
 def told(rows: list[dict]) -> list[Figure]:
@@ -164,7 +174,9 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--branches", type=int, default=20)
     out.add_argument("--segments", type=int, default=3)
     out.add_argument("--effects", nargs="*", default=[], help="hidden ones and candidates; all if none is given")
-    out.add_argument("--rows", help="file to append a line for every branch and design to")
+    out.add_argument(
+        "--rows", type=Path, help="file with a line for every branch and design; those in it are not repeated"
+    )
     return out
 
 

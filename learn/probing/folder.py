@@ -2,7 +2,7 @@
 
     settings.json       what was asked for; --resume must ask for the same
     branch.yaml         the branch's structure
-    zero.json           where the grasp point is at rest, and how stiff a gentle pull found the branch
+    zero.json           where the grasp point is at rest, how stiff a gentle pull found the branch, how gentle pulls are
     plan_K.json         pull K: which one, why, and its courses
     pull_K_J.csv        recording J of it, every tick; *.cut-N.csv is one that was cut short
     case/               all whole recordings, as `bough diagnose` reads them
@@ -66,7 +66,7 @@ class Folder:
 
     @property
     def zero(self) -> dict[str, Any] | None:
-        """Rest place of the grasp point and scale of the springs, None where not known yet."""
+        """Rest place of the grasp point, scale of the springs and share of the force, None where not known yet."""
         return self._read("zero.json")
 
     @zero.setter

@@ -67,6 +67,7 @@ class Hand:
     Attributes:
         releases: Whether pulls may let go: the arm has a gripper, and a tag is seen when it is open.
         scale: Of the branch's springs over typical ones, by `feel`.
+        share: Of the largest force that pulls take, below one once the branch has pulled harder than allowed.
     """
 
     def __init__(self, robot: RobotClient, arm: Arm, structure: Structure, ways: Ways) -> None:
@@ -74,15 +75,15 @@ class Hand:
         self._robot, self._arm, self._branch, self._ways = robot, arm, structure, ways
         self._grips = bool(np.isfinite(robot.latest.gripper))
         self.releases = self._grips and bool(np.isfinite(robot.latest.tag).all())
-        self.scale = 1.0
+        self.scale, self.share = 1.0, 1.0
         self._home = arm.home
 
     @property
     def largest(self) -> float:
-        """Largest force of a pull [N]: what moves the grasp point by the reach, within the limit."""
+        """Largest force of a pull [N]: what moves the grasp point by the reach, within the limit; its share of that."""
         axis = self._branch.axes[0]
         gives = self._branch.bent(np.zeros(3), self.scale)[1]
-        return min(self._ways.force, self._ways.reach / float(axis @ gives @ axis))
+        return self.share * min(self._ways.force, self._ways.reach / float(axis @ gives @ axis))
 
     # ---- going there -------------------------------------------------------------------------------------------------
 

@@ -12,10 +12,10 @@ from ...sim.arms.arm import Arm
 from ...sim.base.errors import InputError
 from ..cases.case import BranchCase
 from ..gap.diagnosis import Diagnosis, Settings
-from ..replay.probes import ArmProbe
+from ..replay.probes import ArmProbe, Push
 from ..robot.client import RobotClient
 from .folder import Folder
-from .hand import Hand, Ways
+from .hand import ForceError, Hand, Ways
 from .menu import first, menu
 from .rounds import Finding, examine
 from .settled import settled
@@ -23,6 +23,8 @@ from .structure import Structure, within_reach
 
 #: Fewest recordings that say anything of a branch (`learn.gap.usable.too_few`).
 FEWEST = 2
+#: How often pulls are halved because the branch pulled harder than allowed, before that ends a probing.
+GENTLER = 3
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,7 @@ class Prober:
         """Go on from where the folder is until the verdict is settled or the budget is spent.
 
         Raises:
+            ForceError: The branch pulled harder than allowed, also with an eighth of the pull.
             RobotError: The arm was stopped, refused, or lost; what was recorded is kept.
             OSError: Something could not be written; what was is kept.
         """
@@ -126,6 +129,7 @@ class Prober:
             known = {"rest_m": rest.tolist(), "stiffness_scale": scale}
             self._folder.zero = known
         self._hand.scale = float(known["stiffness_scale"])
+        self._hand.share = float(known.get("share", 1.0))
         self._say(f"pulls of {self._hand.largest:.2g} N at most, {self._hand.scale:.2g} times typical springs")
 
     def _planned(self, number: int, done: int) -> dict[str, Any] | None:
@@ -150,8 +154,24 @@ class Prober:
             path = self._folder.recording(number, part)
             if not path.exists():
                 self._say(f"pull {number}: {plan['words']} ({plan['why']})")
-                self._hand.pull(push, path)
+                self._within_force(push, path)
         return len(pull.pushes)
+
+    def _within_force(self, push: Push, path: Path) -> None:
+        """Pull; where the branch pulls harder than allowed, let go and begin again with half of it, a few times.
+
+        A law that stiffens, or a sweep at a resonance, shows no earlier. Later pulls stay as gentle.
+        """
+        while True:
+            try:
+                self._hand.pull(push, path)
+                return
+            except ForceError as error:
+                if self._hand.share < 0.5**GENTLER * 1.01:
+                    raise
+                self._hand.share /= 2.0
+                self._folder.zero = (self._folder.zero or {}) | {"share": self._hand.share}
+                self._say(f"{error}; again with half of it, {self._hand.largest:.2g} N at most")
 
     def _examined(self, number: int, done: int) -> str | None:
         """Diagnose all recordings, unless it was done; return why the verdict is settled, None where it is not."""
