@@ -1,8 +1,9 @@
 """A policy end to end on the twin, beside the same policy with perfect clouds in its task: success in the same scenes.
 
 In the task the policy acts as `bough evaluate` lets it: observations and actions without delay, true forces, clouds
-drawn on what is there. End to end it acts as `bough run` lets it: the service's guard with its limits, commands that
-are a tick late, clouds of perfect points or of two simulated D405s that are segmented by colour, touch by the true
+drawn on what is there. End to end it acts as `bough run` lets it: the service's guard with the limits within which the
+policy learnt (`bough robot limits --scene`), commands that are a tick late, clouds of perfect points or of the twin's
+three simulated D405s that are segmented by colour, touch by the true
 forces. Both are judged by the task. The twin runs on a clock of its own, without a network: the same guard, observation
 and policy code, as fast as the machine is. Episodes end at success, which nothing takes back, or at the step limit.
 
@@ -17,7 +18,6 @@ import argparse
 import sys
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +31,11 @@ from bough.learn.cameras.colours import ByColour
 from bough.learn.cameras.frames import Clouds, Frame
 from bough.learn.cameras.open import open_source
 from bough.learn.deploy.loop import Runner, Senses, prepare
-from bough.learn.deploy.plan import Driver, read_driver
+from bough.learn.deploy.plan import Driver, limits_of, read_driver
 from bough.learn.deploy.simulated import SimulatedTwin
 from bough.learn.deploy.stage import Stage, make_world
 from bough.learn.deploy.truth import TruthClouds
 from bough.learn.policies.tables import wilson
-from bough.learn.robot.limits import FASTEST, default_limits
 from bough.learn.runs.threads import one_thread
 from bough.learn.tasks.registry import known_tasks
 from bough.sim.base.console import start_warp
@@ -49,7 +48,7 @@ DELAY = 0.033
 
 
 class SeenTwin:
-    """Two D405s that look at a simulated twin ten times a second, segmented by colour; clouds a delay later."""
+    """The twin's D405s that look at a simulated twin ten times a second, segmented by colour; clouds a delay later."""
 
     trouble = ""
 
@@ -102,7 +101,7 @@ def measured(options: argparse.Namespace) -> list[Figure]:
         prepare(driver)
         inside = np.array([in_task(driver, options.seed, k) for k in range(count)])
         told(f"{driver.plan.name}, {driver.trained.iteration} iterations, in the task", inside)
-        outside = np.array(end_to_end(driver, options.seed, count, options.camera, options.accelerate))
+        outside = np.array(end_to_end(driver, options.seed, count, options.camera))
         told(f"end to end, clouds of {options.camera}", outside)
     points = 100.0 * float(outside.mean() - inside.mean())
     both = 100.0 * float((inside == outside).mean())
@@ -140,12 +139,9 @@ def in_task(driver: Driver, seed: int, number: int) -> bool:
             return False
 
 
-def end_to_end(driver: Driver, seed: int, count: int, camera: str, accelerate: bool) -> list[bool]:
+def end_to_end(driver: Driver, seed: int, count: int, camera: str) -> list[bool]:
     """Return whether the policy succeeds in each scene of the twin, and print how episodes ended."""
-    limits = default_limits(driver.plan.arm)
-    if accelerate:
-        limits = replace(limits, acceleration=np.full(driver.plan.arm.num_dofs, FASTEST))
-    twin = SimulatedTwin(Stage(driver.plan, seed), limits, delay=DELAY)
+    twin = SimulatedTwin(Stage(driver.plan, seed), limits_of(driver.plan), delay=DELAY)
     seen: Any = None
     if driver.plan.seeing:
         seen = SeenTwin(twin) if camera == "twin" else TruthClouds(twin)
@@ -170,7 +166,6 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--run", type=Path, help="folder of bough train; a policy of reach is trained if not given")
     out.add_argument("--camera", choices=("truth", "twin"), default="truth", help="what a clearing policy sees by")
     out.add_argument("--episodes", type=int, default=100)
-    out.add_argument("--accelerate", action="store_true", help=f"let joints speed up by {FASTEST:g} rad/s^2")
     return out
 
 

@@ -21,6 +21,12 @@ from .source import Source, TwinSource
 from .weights import digests, import_transformers
 from .workers import Segmenter
 
+#: Name of each camera of a twin, where it is, and what it looks at: ahead, to the side and above the arm's base [m].
+TWIN_CAMERAS = tuple((name, np.array(place), np.array(seen)) for name, place, seen in (
+    ("left", (0.1, 0.6, 0.75), (0.5, 0.0, 0.55)),
+    ("right", (0.1, -0.6, 0.75), (0.5, 0.0, 0.55)),
+    ("low", (0.0, 0.9, 0.0), (0.6, 0.0, -0.3)),
+))  # fmt: skip
 SPECS = "twin, realsense:SERIAL[,SERIAL...], a folder with cameras.yaml and frames.csv, or a ROS bag"
 
 
@@ -36,7 +42,7 @@ def open_clouds(
         url: Of the twin's service, for ``twin``.
         token: What its clients say.
         certificate: PEM file that vouches for it.
-        calibration: ``cameras.yaml``; None for the one in a folder, and for two cameras at the sides of a twin.
+        calibration: ``cameras.yaml``; None for the one in a folder, and for `twin_rig`.
         weights: Folder with the weights of a segmenter (`learn.cameras.grounded`); None for one that goes by colour.
         prompts: What it looks for as branches and as the line, two texts; empty for its own.
         limit: Greatest age of clouds [s].
@@ -118,19 +124,20 @@ def _recorded(path: Path, calibration: Path | None) -> tuple[Source, Rig]:
 
 
 def twin_rig(bearing: float = -0.785) -> Rig:
-    """Return two D405s at both sides of a twin's arm, which look at what is before it.
+    """Return three D405s about a twin's arm: two at its sides, which look at what is before it, and a low one.
+
+    The two see the crown and the line; the low one sees the trunk, without which the cloud of all branches is another
+    one than in training (`benchmarks/robots/cameras.py`).
 
     Args:
         bearing: Direction from the base to what is looked at, counted from x towards y [rad]; the default is where the
             Jaco 2 faces at home.
     """
     ahead = np.array([np.cos(bearing), np.sin(bearing), 0.0])
-    side, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
-    middle = 0.5 * ahead + 0.55 * up
+    frame = np.array([ahead, [-ahead[1], ahead[0], 0.0], [0.0, 0.0, 1.0]])  # ahead, side, up
     cameras = []
-    for name, sign in (("left", 1.0), ("right", -1.0)):
-        position = 0.1 * ahead + sign * 0.6 * side + 0.75 * up
-        rotation: Any = list(looking(position, middle))
-        cameras.append(Mounted(name=name, position_m=position.tolist(), rotation=rotation))
+    for name, place, seen in TWIN_CAMERAS:
+        rotation: Any = list(looking(place @ frame, seen @ frame))
+        cameras.append(Mounted(name=name, position_m=(place @ frame).tolist(), rotation=rotation))
     rig = plain_rig(cameras)
     return replace(rig, box_low=np.array([*rig.box_low[:2], -1.6]))  # trees of a twin begin below its arm
