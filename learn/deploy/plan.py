@@ -14,7 +14,7 @@ from ...sim.arms.arm import Arm
 from ...sim.arms.registry import ARMS
 from ...sim.base.errors import InputError
 from ..policies.evaluate import TrainedPolicy, read_policy
-from ..robot.limits import FASTEST, Limits, default_limits
+from ..robot.limits import FASTEST, STRONGEST, Limits, default_limits
 from ..runs.folder import RunFolder
 from ..tasks.assembled import Pace
 from ..tasks.parts import Parts
@@ -118,7 +118,7 @@ class Driver:
 
 
 def limits_of(plan: Plan) -> Limits:
-    """Return the limits within which a policy learnt: all of the servos' torque, and as fast changes of speed.
+    """Return the limits within which a policy learnt: above any torque of the servos, and as fast changes of speed.
 
     A ramp between two actions changes a speed by twice its limit in a policy step at most, the other laws by their
     ``speed_step``. All else is as `default_limits` has it.
@@ -126,7 +126,7 @@ def limits_of(plan: Plan) -> Limits:
     default, pace = default_limits(plan.arm), plan.pace
     change = 2.0 * plan.arm.velocity_limit if pace.law == "ramp" else np.full(plan.arm.num_dofs, pace.speed_step)
     acceleration = np.clip(change * pace.policy_rate, default.acceleration, FASTEST)
-    return replace(default, acceleration=acceleration, torque=plan.arm.torque_limit)
+    return replace(default, acceleration=acceleration, torque=STRONGEST * plan.arm.torque_limit)
 
 
 def read_driver(path: Path, registry: TaskRegistry, *, told: bool = False) -> Driver:

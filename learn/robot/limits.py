@@ -4,8 +4,8 @@
     speed_degps: [36, 36, 36, 48, 48, 48]
     workspace_low_m: [-1.2, -1.2, 0.0]
 
-What a file leaves out keeps its default (`default_limits`); `written` writes all of them. No file can raise a speed, a
-torque or a joint's range above what the arm's description allows, or a lease above its 100 ms.
+What a file leaves out keeps its default (`default_limits`); `written` writes all of them. No file can raise a speed or
+a joint's range above what the arm's description allows, a torque far above (`STRONGEST`), or a lease above its 100 ms.
 """
 
 from __future__ import annotations
@@ -34,6 +34,10 @@ RAMP = 0.030
 
 FASTEST = 30.0
 """Most that a file may let a joint speed up by [rad/s^2]."""
+
+STRONGEST = 1.25
+"""Most that a file may let a joint's torque be, over what its servo gives: it is told without the arm's weight, which
+servos carry besides."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +146,8 @@ def read_limits(path: Path, arm: Arm) -> Limits:
 def _problem(name: str, limits: Limits, arm: Arm, unit: float) -> tuple[str, str] | None:
     """Return what is wrong with one field and what is allowed, None where nothing is."""
     value = getattr(limits, name)
-    most = {"speed": arm.velocity_limit, "torque": arm.torque_limit, "acceleration": np.full(arm.num_dofs, FASTEST)}
+    most = {"speed": arm.velocity_limit, "torque": STRONGEST * arm.torque_limit,
+            "acceleration": np.full(arm.num_dofs, FASTEST)}  # fmt: skip
     if name.startswith("workspace"):
         good = np.shape(value) == (3,) and bool((limits.workspace_low < limits.workspace_high).all())
         return None if good else (f"{_listed(value, unit)}", "three numbers, low below high")
