@@ -37,10 +37,10 @@ from .terms import (
     PARAMETERS,
     Present,
     Term,
-    chain_of,
     effect_types,
     effective_damping,
     is_on,
+    laws_of,
     skew_square,
     slot_of,
     strain_of,
@@ -283,7 +283,7 @@ def term_functions(width: int, precision: int, terms: tuple[Term, ...]) -> Simpl
     """
     t, count = term_types(width, precision), len(terms)
     key = f"free_{width}_{precision}_" + "_".join(f"{term.name}_{term.kind}" for term in terms)
-    strain, strips = strain_of(chain_of("joint", terms, t, key), t, key), strips_of(terms, t, key)
+    strain, strips = strain_of(laws_of("joint", terms, t, key), t, key), strips_of(terms, t, key)
     kinds = [term.kind for term in terms]
     at_joint, at_link = (count + KINDS.index(kind) if kind in kinds else -1 for kind in ("joint", "link"))
     take, tip = _taking(t, count, key), slot_of(terms, "tip_mass")

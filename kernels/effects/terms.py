@@ -227,25 +227,11 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
     return SimpleNamespace(**vars(t), **vars(law_types(width, precision)), Effects=Effects)
 
 
-# ---- chains: each function calls the one before it and adds a law ----------------------------------------------------
-
-
-@wp.func
-def no_joint(e: int, i: int, fx: Any, j: Any, r: Any):
-    """No law at this joint."""
-    return r
-
-
-@wp.func
-def no_link(e: int, i: int, fx: Any, b: Any):
-    """No law at this link."""
-    return b.velocity - b.velocity
-
-
-@wp.func
-def no_force(e: int, i: int, fx: Any, g: Any):
-    """No law of the sensor."""
-    return g.force
+# ---- laws: one function for all terms of a kind, each of which acts where ``active`` says so -------------------------
+#
+# ``for _ in range(active)`` runs 0 times or once. An ``if`` would do the same and copy what it may change, on each pass
+# and at every law: with ten laws of which one acts a step took 1.9 times as long. Warp's hash of a kernel does not see
+# functions that a loop takes from a list, so they are named once more where nothing is compiled (`_named_all`).
 
 
 def _named(function: Any, term: Term, key: str) -> Any:
@@ -268,67 +254,107 @@ def _reader(term: Term, types: SimpleNamespace, key: str) -> Any:
     return _named(read, term, f"read{key}")
 
 
-def _with_joint(before: Any, term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
-    read, law, slot, memory = _reader(term, types, key), term.law, term.slot, term.memory
-    LongResponse = types.LongResponse
+def _add_joint(term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
+    """Device function that adds a law's response at a joint to that of those before it."""
+    read, law, memory, LongResponse = _reader(term, types, key), term.law, term.memory, types.LongResponse
+
+    def add_own(e: int, i: int, fx: Any, j: Any, r: Any, sofar: Any):
+        k = row * fx.stride + i
+        p = read(e, i, fx)
+        if wp.static(memory == 0):
+            own = law(j, p, r)
+        if wp.static(memory == 1):
+            own = law(j, p, type(r)(r.torque, fx.memory[e, k], r.stiffness, r.damping))
+            fx.memory[e, k] = own.memory
+        if wp.static(memory == 2):
+            long = LongResponse(r.torque, fx.memory[e, k], fx.memory[e, k + fx.stride], r.stiffness, r.damping)
+            own = law(j, p, long)
+            fx.memory[e, k] = own.memory
+            fx.memory[e, k + fx.stride] = own.second
+        return type(r)(
+            sofar.torque + own.torque, sofar.memory, sofar.stiffness + own.stiffness, sofar.damping + own.damping
+        )
+
+    return _named(add_own, term, f"add{key}")
+
+
+def _add_link(term: Term, types: SimpleNamespace, key: str) -> Any:
+    """Device function that adds a law's force on a link to that of those before it."""
+    read, law = _reader(term, types, key), term.law
+
+    def add_own(e: int, i: int, fx: Any, b: Any, sofar: Any):
+        return sofar + law(b, read(e, i, fx))
+
+    return _named(add_own, term, f"add{key}")
+
+
+def _add_force(term: Term, types: SimpleNamespace, key: str) -> Any:
+    """Device function that makes a law's force of that which those before it made."""
+    read, law = _reader(term, types, key), term.law
+
+    def add_own(e: int, i: int, fx: Any, g: Any, sofar: Any):
+        return law(type(g)(sofar, g.contact, g.turn, g.first, g.gravity), read(e, i, fx))
+
+    return _named(add_own, term, f"add{key}")
+
+
+def _named_all(adds: list[Any], key: str) -> Any:
+    """Device function that refers to all of some: what refers to it has them in its hash."""
+    out: Any = wp.func(nothing, name=f"nothing_{key}")
+    for n, own in enumerate(adds):
+        before = out
+
+        def both(x: Any):
+            before(x)  # noqa: B023
+            own(x)  # noqa: B023
+
+        out = wp.func(both, name=f"names_{key}_{n}")
+    return out
+
+
+def nothing(x: Any):
+    """Nothing."""
+    return x
+
+
+def laws_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
+    """Return the device function that applies all terms of a kind, in their order."""
+    own = [term for term in terms if term.kind == kind]
+    slots, count = [term.slot for term in own], len(own)
+    if kind == "joint":
+        adds = [_add_joint(term, types, key, memory_row(terms, term.slot)) for term in own]
+    else:
+        adds = [{"link": _add_link, "force": _add_force}[kind](term, types, key) for term in own]
+    named = _named_all(adds, f"{key}_{kind}")
 
     def joint(e: int, i: int, fx: Any, j: Any, r: Any):
-        sofar = before(e, i, fx, j, r)
-        if fx.active[e, slot] == 1:
-            k = row * fx.stride + i
-            p = read(e, i, fx)
-            if wp.static(memory == 0):
-                own = law(j, p, r)
-            if wp.static(memory == 1):
-                own = law(j, p, type(r)(r.torque, fx.memory[e, k], r.stiffness, r.damping))
-                fx.memory[e, k] = own.memory
-            if wp.static(memory == 2):
-                long = LongResponse(r.torque, fx.memory[e, k], fx.memory[e, k + fx.stride], r.stiffness, r.damping)
-                own = law(j, p, long)
-                fx.memory[e, k] = own.memory
-                fx.memory[e, k + fx.stride] = own.second
-            sofar = type(r)(
-                sofar.torque + own.torque, sofar.memory, sofar.stiffness + own.stiffness, sofar.damping + own.damping
-            )
+        if wp.static(False):
+            named(r)
+        sofar = type(r)(r.torque, r.memory, r.stiffness, r.damping)
+        for n in range(wp.static(count)):
+            for _ in range(fx.active[e, wp.static(slots[n])]):
+                sofar = wp.static(adds[n])(e, i, fx, j, r, sofar)
         return sofar
 
-    return _named(joint, term, f"joint{key}")
-
-
-def _with_link(before: Any, term: Term, types: SimpleNamespace, key: str) -> Any:
-    read, law, slot = _reader(term, types, key), term.law, term.slot
-
     def link(e: int, i: int, fx: Any, b: Any):
-        total = before(e, i, fx, b)
-        if fx.active[e, slot] == 1:
-            total = total + law(b, read(e, i, fx))
-        return total
-
-    return _named(link, term, f"link{key}")
-
-
-def _with_force(before: Any, term: Term, types: SimpleNamespace, key: str) -> Any:
-    read, law, slot = _reader(term, types, key), term.law, term.slot
+        if wp.static(False):
+            named(b)
+        sofar = b.velocity - b.velocity
+        for n in range(wp.static(count)):
+            for _ in range(fx.active[e, wp.static(slots[n])]):
+                sofar = wp.static(adds[n])(e, i, fx, b, sofar)
+        return sofar
 
     def force(e: int, i: int, fx: Any, g: Any):
-        acting = before(e, i, fx, g)
-        if fx.active[e, slot] == 1:
-            acting = law(type(g)(acting, g.contact, g.turn, g.first, g.gravity), read(e, i, fx))
-        return acting
+        if wp.static(False):
+            named(g)
+        sofar = type(g.force)(g.force.x, g.force.y, g.force.z)
+        for n in range(wp.static(count)):
+            for _ in range(fx.active[e, wp.static(slots[n])]):
+                sofar = wp.static(adds[n])(e, i, fx, g, sofar)
+        return sofar
 
-    return _named(force, term, f"force{key}")
-
-
-def chain_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
-    """Return the device function that applies all terms of a kind, in their order."""
-    chain = {"joint": no_joint, "link": no_link, "force": no_force}[kind]
-    for n, term in enumerate(t for t in terms if t.kind == kind):
-        given = (chain, term, types, f"{key}_{n}")
-        if kind == "joint":
-            chain = _with_joint(*given, memory_row(terms, term.slot))
-        else:
-            chain = _with_link(*given) if kind == "link" else _with_force(*given)
-    return chain
+    return wp.func({"joint": joint, "link": link, "force": force}[kind], name=f"{kind}_{key}")
 
 
 def strips_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
@@ -337,7 +363,7 @@ def strips_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
     Strip theory: force per length is integrated along the link by Gauss's two points, exact for cubics. The link
     reaches from its joint to twice its centre of area.
     """
-    law, LinkState, Wrench = chain_of("link", terms, types, key), types.LinkState, types.Wrench
+    law, LinkState, Wrench = laws_of("link", terms, types, key), types.LinkState, types.Wrench
 
     def strips(e: int, row: int, i: int, m: Any, fx: Any, s: Any, time: Any):
         pose = s.pose[row, i]
@@ -379,7 +405,7 @@ def joint_state(kind: int, q: Any, w: Any, stiffness: Any, time: Any, h: wp.floa
 
 
 def strain_of(law: Any, types: SimpleNamespace, key: str) -> Any:
-    """Return the device function that asks a chain of laws for their response at a joint in its present state."""
+    """Return the device function that asks laws for their response at a joint in its present state."""
     JointState, Response = types.JointState, types.Response
 
     def strain(e: int, i: int, m: Any, x: Any, fx: Any, h: wp.float64, time: Any):
@@ -496,7 +522,7 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
     """Return the device functions ``advance`` (one step with all terms), ``joint`` and ``force`` (the chains)."""
     t = effect_types(width, precision)
     key = f"{width}_{precision}_" + "_".join(term.name for term in terms)
-    joint, force = chain_of("joint", terms, t, key), chain_of("force", terms, t, key)
+    joint, force = laws_of("joint", terms, t, key), laws_of("force", terms, t, key)
     strain, strips = strain_of(joint, t, key), strips_of(terms, t, key)
     at_joint, at_link = (group_place(terms, kind) for kind in ("joint", "link"))
     tip = slot_of(terms, "tip_mass")

@@ -92,8 +92,8 @@ class EffectArrays:
         columns = values[:, values.shape[1] - len(acting.parameters) :]
         marks = acting.marks(columns)
         rollout.place_marks(self.arrays["settle"], marks)
-        on, laws = acting.switched_on(columns), list(acting.laws.values())
-        of_kind = ([x.kind == "joint" for x in laws], [x.kind == "link" for x in laws], [x.persistent for x in laws])
+        on, terms = acting.switched_on(columns), terms_of(acting.names, acting.form)
+        of_kind = ([x.kind == "joint" for x in terms], [x.kind == "link" for x in terms], [x.persistent for x in terms])
         kinds = [(on & torch.tensor(k, device=on.device)).any(1, keepdim=True) for k in of_kind]
         sets = torch.cat([on, *kinds, marks[:, None] != 0.0], 1)
         groups = sets.view(rollout.blocks, rollout.model.width, -1).any(1)

@@ -11,7 +11,7 @@ import torch
 
 from ...sim.base.errors import InputError
 from ...sim.base.types import Array
-from ...sim.effects import Effect, EffectParameter, Law, Setting, effect_of, in_setting
+from ...sim.effects import Effect, EffectParameter, Law, Setting, effect_of, effects, in_setting
 from ...sim.effects.registry import Form
 from ...sim.engine.model import Model
 from ..cases.case import BranchCase, JointCase
@@ -65,7 +65,9 @@ class ActingSet:
     Attributes:
         acting: The effects and where they act.
         settings: What is known of every joint.
-        names: Of the effects, each once: what the kernels are built with.
+        laws: Of the effects that act, by name.
+        names: Of all effects that can act in such a system: what kernels are built with, so that one kernel serves any
+            choice. Empty where none acts.
         form: ``branch`` or ``joint``.
         parameters: Unknowns, in the order of the columns that `write` takes.
         entries: All parameters, in the order of the acting effects.
@@ -73,8 +75,9 @@ class ActingSet:
 
     def __init__(self, acting: Sequence[Acting], form: Form, settings: Sequence[Setting], source: str = "effects"):
         self.form, self.acting, self.settings = form, tuple(acting), tuple(settings)
-        self.names = tuple(e.name for e in _ordered(self.acting, source))
-        self.laws: dict[str, Law] = {name: effect_of(name).law(form) for name in self.names}
+        chosen = _ordered(self.acting, source)
+        self.laws: dict[str, Law] = {e.name: e.law(form) for e in chosen}
+        self.names = tuple(e.name for e in effects() if getattr(e, form) is not None) if chosen else ()
         labels = [a.label for a in self.acting]
         if len(set(labels)) < len(labels):
             twice = next(x for x in labels if labels.count(x) > 1)
@@ -123,7 +126,7 @@ class ActingSet:
         """Return the neutral value of each of the array's rows; rows that no parameter uses are zero."""
         out = [0.0] * (6 * len(self.names))
         for n, name in enumerate(self.names):
-            for k, spec in enumerate(self.laws[name].parameters):
+            for k, spec in enumerate(effect_of(name).law(self.form).parameters):
                 out[6 * n + k] = spec.neutral
         return out
 
@@ -164,8 +167,6 @@ class ActingSet:
 
 
 def _ordered(acting: Sequence[Acting], source: str) -> list[Effect]:
-    from ...sim.effects import effects
-
     wanted = {effect_of(a.name, source).name for a in acting}
     return [e for e in effects() if e.name in wanted]
 
