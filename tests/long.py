@@ -7,6 +7,7 @@ of the same kind. An entry that fits no test is an error.
 _SEARCH = "a whole search (10 to 100 s); make test keeps a null, a hidden drag found and shown, and the real pendulum"
 _REAL = "a real recording (6 s each; silverbox more); make test keeps the pendulum, the arm and a tree"
 _LAWS = "compiles a contact kernel of its own with laws (15 to 40 s); make test keeps the one with five laws in 8 lanes"
+_OPTIONS = "a posterior with other options (8 s); make test keeps the one with defaults"
 _CHAINS = "long chains against known moments; make test keeps SVGD and one case of each chain"
 _KILLED = "kills and repeats a command of half a minute; make test keeps killed trainings"
 _OTHER = "the same as one that make test keeps, on another scene or width"
@@ -23,9 +24,27 @@ LONG = {
     "cli/test_diagnose_story.py::test_a_killed_diagnosis_reaches_the_same_verdict": _SEARCH,
     "cli/test_command_line.py::test_shells_complete_commands[zsh]": "the same for another shell (10 s)",
     "cli/test_hide_story.py::test_hard_exam_is_held": "an exam of one case; its parts are tested apart",
-    "cli/test_identify_story.py::test_options_run[options1]": "a posterior with other options; make test keeps one",
-    "cli/test_identify_story.py::test_options_run[options2]": "a posterior with other options; make test keeps one",
-    "cli/test_identify_story.py::test_options_run[options3]": "a posterior with other options; make test keeps one",
+    "cli/test_diagnose_story.py::test_repaired_model_has_the_gap": "13 s; learn/gap/test_repaired.py stays",
+    "cli/test_identify_story.py::test_options_run[options0]": _OPTIONS,
+    "cli/test_identify_story.py::test_posterior_feeds_a_forest_and_the_next_case": "three commands, 14 s; each stays",
+    "cli/test_identify_story.py::test_resume_without_anything_to_resume_begins": "a posterior more (6 s)",
+    "cli/test_identify_story.py::test_short_chains_did_not_converge": "a posterior more (6 s); diagnostics are kept",
+    "cli/test_plugins_story.py::test_a_package_s_task_and_arm": "trains (19 s); make test keeps what info tells",
+    "learn/exam/test_joint_exam.py::test_a_loop_that_the_widest_recording_shows_is_learnt": _SEARCH,
+    "learn/gap/test_gap_joints.py::test_the_zero_of_an_encoder_changes_no_verdict[100": _SEARCH,
+    "learn/gap/test_joint_intervals.py::test_intervals_hold_the_truth[False-8": "eight fits; eight others stay",
+    "learn/laws/test_check_law.py::test_the_command_as_a_user_types_it": "12 s; make test keeps every fault it tells",
+    "learn/policies/test_lagrangian.py::test_optimum_and_multiplier_are_the_known_ones[0.8": _OTHER,
+    "learn/policies/test_lagrangian.py::test_optimum_and_multiplier_are_the_known_ones[2.0": _OTHER,
+    "learn/runs/test_train_processes.py::test_killed_at_a_random_moment": _KILLED,
+    "learn/thesis/test_chapter3.py::test_all_samplers_start_from_the_same_places": "8 s; the samplers are tested apart",
+    "learn/thesis/test_chapter4.py::test_command_that_is_interrupted_goes_on": "11 s; make test keeps chapter 5's",
+    "learn/thesis/test_chapter5.py::test_report_holds_every_table_and_figure": "15 s; its parts are tested apart",
+    "sim/arms/test_independent_worlds.py::test_no_number_of_a_world_reaches_another[1-effects": _LAWS,
+    "sim/engine/test_simulator_effects.py::test_a_chain_moves_as_in_the_replay_of_a_case": _LAWS,
+    "cli/test_identify_story.py::test_options_run[options1]": _OPTIONS,
+    "cli/test_identify_story.py::test_options_run[options2]": _OPTIONS,
+    "cli/test_identify_story.py::test_options_run[options3]": _OPTIONS,
     "cli/test_identify_story.py::test_a_killed_run_goes_on_to_the_same_bits": _KILLED,
     "cli/test_identify_story.py::test_cross_validation": "three posteriors; folds are tested apart",
     "cli/test_model_story.py::test_known_effects_act_while_springs_are_learnt": "a posterior with effects, 14 s",

@@ -32,7 +32,7 @@ def law_with(factor):
 
 @pytest.mark.parametrize("kind", ["joint", "link", "force"])
 def test_a_law_that_differs_in_its_helper_is_another_kernel(kind):
-    """Compile anew what a law calls: equal sources make equal names of modules, others do not (Warp's cache on disk)."""
+    """Compile anew where what a law calls is another: modules have other names, as Warp's cache on disk knows them."""
     kernels = []
     for factor in (1, 2, 1):
         terms = (Term("x", kind, law_with(factor), 0, True),)
