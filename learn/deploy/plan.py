@@ -121,12 +121,14 @@ def limits_of(plan: Plan) -> Limits:
     """Return the limits within which a policy learnt: above any torque of the servos, and as fast changes of speed.
 
     A ramp between two actions changes a speed by twice its limit in a policy step at most, the other laws by their
-    ``speed_step``. All else is as `default_limits` has it.
+    ``speed_step``. There is no table under the arm: a task's arm goes below its base where branches are. All else is
+    as `default_limits` has it.
     """
     default, pace = default_limits(plan.arm), plan.pace
     change = 2.0 * plan.arm.velocity_limit if pace.law == "ramp" else np.full(plan.arm.num_dofs, pace.speed_step)
     acceleration = np.clip(change * pace.policy_rate, default.acceleration, FASTEST)
-    return replace(default, acceleration=acceleration, torque=STRONGEST * plan.arm.torque_limit)
+    return replace(default, acceleration=acceleration, torque=STRONGEST * plan.arm.torque_limit,
+                   workspace_low=-default.workspace_high)  # fmt: skip
 
 
 def read_driver(path: Path, registry: TaskRegistry, *, told: bool = False) -> Driver:

@@ -375,4 +375,5 @@ def test_options_that_cannot_be_are_refused(inside, tmp_path):
     # actions are joint speeds, ten a second: from one limit of the speed to the other in a tenth of a second
     assert read.acceleration == pytest.approx(20.0 * jaco2().velocity_limit, rel=1e-5)
     assert (read.torque > jaco2().torque_limit).all() and read.lease == default.lease
+    assert read.workspace_low[2] < 0.0 == default.workspace_low[2]  # tasks have no table
     inside("robot", "limits", "--scene", "nowhere").refused("robot limits", "--scene", "nowhere", "powerline, reach")
