@@ -341,7 +341,7 @@ def test_options_that_cannot_be_are_refused(inside, tmp_path):
     limits = tmp_path / "limits.yaml"
     for text, words in {
         "speed_degps: [37, 36, 36, 48, 48, 48]": ("speed_degps", "36"),
-        "torque_Nm: [1, 1]": ("torque_Nm", "40"),
+        "torque_Nm: [1, 1]": ("torque_Nm", "above zero, [50"),  # 1.25 times the servo's 40 N m
         "lower_deg: [0, 0, 0, 0, 0, 0]": ("lower_deg", "47"),
         "lease_s: 0.5": ("lease_s", "0.1"),
         "workspace_low_m: [2, 0, 0]": ("workspace_low_m", "low below high"),
