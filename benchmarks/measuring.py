@@ -266,7 +266,9 @@ def main(
         return 1
     seconds = round(time.perf_counter() - begun, 1)
     if options.record:
-        words = _without(_without(_without(sys.argv[1:], "--record"), "--out"), "--rows")
+        words = sys.argv[1:]
+        for file in ("--record", "--out", "--rows"):
+            words = _without(words, file)
         result = Result(words, seconds, round(load, 2), figures, verdicts)
         write_json(options.record, {**head, "results": {key: asdict(result)}})
     print("\n".join(["", "Bounds", *(f"  {v.line()}" for v in verdicts)]) if verdicts else "\nNo bound is declared.")

@@ -167,7 +167,7 @@ class Prober:
                 self._hand.pull(push, path)
                 return
             except ForceError as error:
-                if self._hand.share < 0.5**GENTLER * 1.01:
+                if self._hand.share <= 0.5**GENTLER:
                     raise
                 self._hand.share /= 2.0
                 self._folder.zero = (self._folder.zero or {}) | {"share": self._hand.share}

@@ -16,7 +16,7 @@ from ...sim.base.rotation import quat_rotate
 from ...sim.base.types import Array
 from ...sim.effects import terms_of
 from ...sim.engine.arrays import LaneArray
-from ..systems.acting import FIELD, ActingSet
+from ..systems.acting import FIELD
 from ..systems.branch import BranchSystem
 from .midstep import driving
 from .recording import Recording, recordings
@@ -27,6 +27,7 @@ class EffectArrays:
     """Parameters and memories of the effects in every world.
 
     Attributes:
+        terms: Of all effects that can act, as kernels are built with them.
         arrays: By name, the parameters as `Write` addresses them.
         kernel: The Warp struct that kernels take.
     """
@@ -34,7 +35,8 @@ class EffectArrays:
     def __init__(self, rollout: ReplayWorlds) -> None:
         m, acting = rollout.model, rollout.system.acting
         stride, count = m.places + 1, len(acting.names)
-        vectors = memory_row(terms_of(acting.names, acting.form), count)
+        self.terms = terms_of(acting.names, acting.form)
+        vectors = memory_row(self.terms, count)
         self.arrays: dict[str, LaneArray] = {
             FIELD: m.field("Real", places=count * PARAMETERS * stride),
             "memory": m.field("Vec", places=max(1, vectors * stride)),
@@ -92,7 +94,7 @@ class EffectArrays:
         columns = values[:, values.shape[1] - len(acting.parameters) :]
         marks = acting.marks(columns)
         rollout.place_marks(self.arrays["settle"], marks)
-        on, terms = acting.switched_on(columns), terms_of(acting.names, acting.form)
+        on, terms = acting.switched_on(columns), self.terms
         of_kind = ([x.kind == "joint" for x in terms], [x.kind == "link" for x in terms], [x.persistent for x in terms])
         kinds = [(on & torch.tensor(k, device=on.device)).any(1, keepdim=True) for k in of_kind]
         sets = torch.cat([on, *kinds, marks[:, None] != 0.0], 1)
@@ -105,8 +107,7 @@ def prepare(rollout: ReplayWorlds) -> tuple[EffectArrays, Callable[[], None]]:
     """Return the arrays of a rollout's effects and what replays its recordings with them."""
     m, sim, system = rollout.model, rollout.simulator, rollout.system
     fx = EffectArrays(rollout)
-    acting: ActingSet = system.acting
-    kernels = effect_rollout_kernels(m.width, m.precision, terms_of(acting.names, acting.form))
+    kernels = effect_rollout_kernels(m.width, m.precision, fx.terms)
     before: list[Any] = [sim._dynamics, sim.state.kernel, sim.load.kernel, fx.kernel]
     if isinstance(system, BranchSystem):
         before += _branch_arguments(rollout)

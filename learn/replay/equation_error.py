@@ -24,7 +24,6 @@ from ...kernels.effects.inverse import effect_efforts_kernel
 from ...kernels.tree.inverse import inverse_kernels
 from ...sim.base.errors import InputError
 from ...sim.base.types import Array
-from ...sim.effects import terms_of
 from ...sim.engine.arrays import LaneArray
 from ..cases.case import BranchCase, JointCase, JointTrajectory
 from ..cases.noise import NoiseEstimate, estimate_noise
@@ -267,7 +266,7 @@ class EquationError(Rollout):
         begins: wp.array = wp.array(starts, dtype=wp.float64, device=self.device)
         r = self.recordings[0]
         spacing = float(r.t[1] - r.t[0]) / max(1, r.every)
-        kernel = effect_efforts_kernel(m.width, m.precision, terms_of(acting.names, acting.form))
+        kernel = effect_efforts_kernel(m.width, m.precision, self.effects.terms)
         before = [m.kernel, self.effects.kernel, *integers, begins, motion]
         laws = self.simulator._launcher.prepare(kernel, before, [spacing, self._output.kernel])
 
