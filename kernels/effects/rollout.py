@@ -20,6 +20,7 @@ from ..lanes.algebra import add, add_cross, add_scaled, cross, div, dot, mul, no
 from ..lanes.real import SOURCE, fma, fnma, real, sqrt_, where_neg
 from ..tree.observe import locate_links
 from ..tree.rollout import Moment, between, look_ahead, share_of, write_gains, write_joints, write_point
+from .held import holder_of
 from .terms import (
     CALM,
     GROUPS,
@@ -45,13 +46,15 @@ NEVER = wp.constant(3 * DELAY)
 CLOSED = wp.constant(3)
 SENSED = wp.constant(4)
 #: Columns of ``grip``: grasp point and direction of the segment in the link's frame, how far the grip may slide down
-#: (negative) and up, the point in the world in the given pose [m], and the recording's largest force [N].
+#: (negative) and up, the point in the world in the given pose [m], the recording's largest force [N], and how far off
+#: its calm place the point stands before [m].
 GRASP = wp.constant(0)
 ALONG = wp.constant(3)
 DOWN = wp.constant(6)
 UP = wp.constant(7)
 GIVEN = wp.constant(8)
 PEAK = wp.constant(11)
+OFF = wp.constant(12)
 
 #: Steps that seek rest under a load, each Newton's with 5/4 of the joints' stiffness, and their length [s].
 SETTLING = 16
@@ -73,6 +76,7 @@ class Slots:
     slip_row: int
     delay: int
     lasting: int
+    holding: int
     resting: int
 
 
@@ -291,11 +295,12 @@ def settle(
 def set_out(
     e: int, row: int, j: int, place: int, is_first: bool, at: Slots, m: Any, x: Any, u: Any, fx: Any, s: Any,
     grip: wp.array2d(dtype=wp.float64), nominal: Any, time: wp.float64, bound: wp.float64, advance: wp.Function,
+    hold: wp.Function,
 ):  # fmt: skip
     """Bring the worlds to where recording j begins; return the point that displacement counts from, and the calm pose.
 
     Worlds that are blown come to rest under the wind; displacement is counted from the calm pose all the same, that of
-    the whole branch where damage lasts.
+    the whole branch where damage lasts. Other worlds begin where friction holds them (`held`).
     """
     o = real(0.0, nominal.x)
     lasting = fx.active[e, at.lasting]
@@ -317,6 +322,9 @@ def set_out(
     calm = s.pose[row, place]
     if fx.active[e, at.resting] == 1:
         settle(e, row, m, x, u, fx, s, time, bound, STILL, advance)
+        locate_links(e, row, m, x, s)
+    if fx.active[e, at.holding] == 1:
+        hold(e, row, place, start, grip_of(grip, j, OFF, nominal), m, x, fx, s)
     return start, calm
 
 
@@ -414,15 +422,15 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
     """Kernel that pushes links at their load points as recorded.
 
     Inputs are the force x, y, z, whether the gripper holds (1 or 0), and what the sensor felt of each. ``grip``
-    [recordings, 12] is laid out as `GRASP`, `ALONG`, ... say. With ``track`` 1 the joints' coordinates are written
+    [recordings, 15] is laid out as `GRASP`, `ALONG`, ... say. With ``track`` 1 the joints' coordinates are written
     too. A recording is written at sample ``offset``, or not where that is negative.
     """
     parts, kept = step_of(width, precision, terms), kept_rows(terms)
-    t, advance, law = parts.types, parts.advance, parts.force
+    t, advance, law, hold = parts.types, parts.advance, parts.force, holder_of(terms, parts.types, parts.key)
     Model, State, Load, Scratch, Real, Quat = t.Model, t.State, t.Load, t.Scratch, t.Real, t.Quat
     Effects, ForceState = t.Effects, t.ForceState
     tip, slip, delay = (slot_of(terms, kind) for kind in ("tip_mass", "grasp_slip", "time_delay"))
-    lasting, resting = (len(terms) + GROUPS.index(k) for k in ("lasting", "resting"))
+    lasting, holding, resting = (len(terms) + GROUPS.index(k) for k in ("lasting", "holding", "resting"))
     slip_row = memory_row(terms, max(0, slip))
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -436,14 +444,14 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
-        at = Slots(tip, slip, slip_row, delay, lasting, resting)
+        at = Slots(tip, slip, slip_row, delay, lasting, holding, resting)
         forget(e, kept, EVERYTHING, m, fx)
         for j in range(first_of[e], last_of[e]):
             place = grasped[j]
             forget(e, kept, BETWEEN, m, fx)
             nominal = grip_of(grip, j, GRASP, m.offset[e, 1])
             start, calm = set_out(e, r, j, place, j == first_of[e], at, m, x_in_out, u_out, fx, s_out, grip, nominal,
-                                  begins[j], bound, advance)  # fmt: skip
+                                  begins[j], bound, advance, hold)  # fmt: skip
             zero = nominal - nominal
             like = ForceState(zero, zero.x, calm, calm, zero - s_out.accel0[r, 0])
             replay_samples(e, r, j, place, length[j], offset[j], at, m, x_in_out, u_out, fx, s_out, grip, input_in,

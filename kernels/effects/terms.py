@@ -51,8 +51,9 @@ __all__ = ["GROUPS", "PARAMETERS", "Present", "Term", "effect_types", "step_of"]
 #: Parameters that a term may have.
 PARAMETERS = 6
 
-#: What follows the terms in ``active``: whether any term of a kind is on, any damage, and any load to rest under.
-GROUPS = ("joint", "link", "lasting", "resting")
+#: What follows the terms in ``active``: whether any term of a kind is on, any damage, any law that holds a branch off
+#: its rest, and any load to rest under.
+GROUPS = ("joint", "link", "lasting", "holding", "resting")
 
 #: Least damper of a ball joint over its stiffness, in steps.
 LEAST_DAMPER = wp.constant(wp.float64(0.6))
@@ -90,6 +91,7 @@ class Term(NamedTuple):
         per_joint: Whether every joint has parameters of its own; else they stand at place 0.
         memory: How many vectors each joint remembers, up to two.
         persistent: Whether that memory outlasts a recording (damage), or is zero at the start of each.
+        holds: Device function of the torque that the law holds at rest, see `held`; None where it holds none.
     """
 
     name: str
@@ -99,6 +101,7 @@ class Term(NamedTuple):
     per_joint: bool
     memory: int = 0
     persistent: bool = False
+    holds: Any = None
 
 
 def slot_of(terms: tuple[Term, ...], kind: str) -> int:
@@ -231,15 +234,15 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
 #
 # ``for _ in range(active)`` runs 0 times or once. An ``if`` would do the same and copy what it may change, on each pass
 # and at every law: with ten laws of which one acts a step took 1.9 times as long. Warp's hash of a kernel does not see
-# functions that a loop takes from a list, so they are named once more where nothing is compiled (`_named_all`).
+# functions that a loop takes from a list, so they are named once more where nothing is compiled (`named_all`).
 
 
-def _named(function: Any, term: Term, key: str) -> Any:
+def function_of(function: Any, term: Term, key: str) -> Any:
     """Make a device function of its own: Warp tells functions of one module apart by their names."""
     return wp.func(function, name=f"{key}_{term.kind}_{term.name}_{term.slot}_{term.per_joint}")
 
 
-def _reader(term: Term, types: SimpleNamespace, key: str) -> Any:
+def reader(term: Term, types: SimpleNamespace, key: str) -> Any:
     """Device function that reads a term's parameters for joint or link i."""
     first, own, Parameters = term.slot * PARAMETERS, int(term.per_joint), types.Parameters
 
@@ -251,12 +254,12 @@ def _reader(term: Term, types: SimpleNamespace, key: str) -> Any:
             fx.parameter[e, k + 4 * n], fx.parameter[e, k + 5 * n],
         )  # fmt: skip
 
-    return _named(read, term, f"read{key}")
+    return function_of(read, term, f"read{key}")
 
 
 def _add_joint(term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
     """Device function that adds a law's response at a joint to that of those before it."""
-    read, law, memory, LongResponse = _reader(term, types, key), term.law, term.memory, types.LongResponse
+    read, law, memory, LongResponse = reader(term, types, key), term.law, term.memory, types.LongResponse
 
     def add_own(e: int, i: int, fx: Any, j: Any, r: Any, sofar: Any):
         k = row * fx.stride + i
@@ -275,41 +278,45 @@ def _add_joint(term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
             sofar.torque + own.torque, sofar.memory, sofar.stiffness + own.stiffness, sofar.damping + own.damping
         )
 
-    return _named(add_own, term, f"add{key}")
+    return function_of(add_own, term, f"add{key}")
 
 
 def _add_link(term: Term, types: SimpleNamespace, key: str) -> Any:
     """Device function that adds a law's force on a link to that of those before it."""
-    read, law = _reader(term, types, key), term.law
+    read, law = reader(term, types, key), term.law
 
     def add_own(e: int, i: int, fx: Any, b: Any, sofar: Any):
         return sofar + law(b, read(e, i, fx))
 
-    return _named(add_own, term, f"add{key}")
+    return function_of(add_own, term, f"add{key}")
 
 
 def _add_force(term: Term, types: SimpleNamespace, key: str) -> Any:
     """Device function that makes a law's force of that which those before it made."""
-    read, law = _reader(term, types, key), term.law
+    read, law = reader(term, types, key), term.law
 
     def add_own(e: int, i: int, fx: Any, g: Any, sofar: Any):
         return law(type(g)(sofar, g.contact, g.turn, g.first, g.gravity), read(e, i, fx))
 
-    return _named(add_own, term, f"add{key}")
+    return function_of(add_own, term, f"add{key}")
 
 
-def _named_all(adds: list[Any], key: str) -> Any:
+def named_all(adds: list[Any], key: str) -> Any:
     """Device function that refers to all of some: what refers to it has them in its hash."""
     out: Any = wp.func(nothing, name=f"nothing_{key}")
     for n, own in enumerate(adds):
-        before = out
-
-        def both(x: Any):
-            before(x)  # noqa: B023
-            own(x)  # noqa: B023
-
-        out = wp.func(both, name=f"names_{key}_{n}")
+        out = wp.func(_both(out, own), name=f"names_{key}_{n}")
     return out
+
+
+def _both(before: Any, own: Any) -> Any:
+    """Return a function that calls two; each has a closure of its own, for Warp looks into it when it hashes."""
+
+    def both(x: Any):
+        before(x)
+        own(x)
+
+    return both
 
 
 def nothing(x: Any):
@@ -325,7 +332,7 @@ def laws_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: str
         adds = [_add_joint(term, types, key, memory_row(terms, term.slot)) for term in own]
     else:
         adds = [{"link": _add_link, "force": _add_force}[kind](term, types, key) for term in own]
-    named = _named_all(adds, f"{key}_{kind}")
+    named = named_all(adds, f"{key}_{kind}")
 
     def joint(e: int, i: int, fx: Any, j: Any, r: Any):
         if wp.static(False):
@@ -540,4 +547,5 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
         advance_links(e, row, m, x, s, h, bound)
         x.tick[e] = x.tick[e] + 1
 
-    return SimpleNamespace(types=t, advance=wp.func(advance, name=f"advance_{key}"), joint=joint, force=force)
+    advance = wp.func(advance, name=f"advance_{key}")
+    return SimpleNamespace(types=t, key=key, advance=advance, joint=joint, force=force)

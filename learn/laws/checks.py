@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -43,6 +43,9 @@ PLACES, NUDGE, SHORT = np.linspace(0.03, 0.97, 41), 1e-5, 481
 DENSE = SAMPLES // 2
 #: Share of the work moved to and fro that may be out of balance: the path's steps are of first order, 0.1 ms.
 BALANCE = 2e-3
+#: How far off its rest a branch is held [m], and the share of that by which it may move: the turn changes its weight's
+#: lever a little.
+OFF, HELD = 0.002, 0.1
 #: Suffixes of names that stand for a unit, as in ``torque_Nm``; a share has none.
 SUFFIX = {"1": "", "N": "_N", "N m": "_Nm", "N m or N": "_N", "rad": "_rad", "s": "_s", "kg": "_kg", "Hz": "_Hz",
           "Pa": "_Pa", "kg/m^3": "_kgpm3", "1/rad^2": "_radm2", "rad/(N m)": "_radpNm", "kg m^2": "_kgm2",
@@ -84,6 +87,8 @@ def check_law(effect: Effect) -> Iterator[Finding]:
         with tempfile.TemporaryDirectory() as folder:
             case = case_for(form, Path(folder) / "case")
         yield _neutral(effect, form, case)
+        if law.holds is not None and isinstance(case, BranchCase):
+            yield _holding(effect, case)
         yield Finding("recovery", form, *recover(effect, form, case))
 
 
@@ -256,3 +261,23 @@ def _neutral(effect: Effect, form: Form, case: BranchCase | JointCase) -> Findin
         return Finding("neutral", form, "ok", f"{one.numel()} numbers to the bit as without it")
     apart = float((one - two).abs().max() / one.abs().max())
     return Finding("neutral", form, "missing", f"a neutral law changes the motion, by {apart:.2g} of its largest value")
+
+
+def _holding(effect: Effect, case: BranchCase) -> Finding:
+    """Ask that a branch which the law holds off its rest stays there while nothing pulls."""
+    law = effect.law("branch")
+    acting = Acting(effect.name, 0, dict(zip((p.name for p in law.parameters), values_in(law), strict=True)))
+    first = recordings(case)[0]
+    across = np.linalg.svd(case.axis[:1])[2][1]
+    still = replace(first, input=0.0 * first.input, sensed=0.0 * first.input, off=OFF * across)
+    rollout = Rollout(case, [still], 1, unknowns=Unknowns(effects=(acting,)))
+    values = torch.tensor([[SPRING, DAMPER]], dtype=torch.float64)
+    way = rollout(values)[0, 0, :, :3].double().cpu().numpy()
+    begins = float(np.linalg.norm(way[0]))
+    moved = float(np.linalg.norm(way - way[0], axis=1).max())
+    if begins > 0.0 and moved <= HELD * begins:
+        return Finding("holding", "branch", "ok", f"a branch found {begins * 1e3:.2g} mm off its rest stays there")
+    text = (
+        f"a branch found {OFF * 1e3:.2g} mm off its rest begins at {begins * 1e3:.2g} mm and moves {moved * 1e3:.2g} mm"
+    )
+    return Finding("holding", "branch", "missing", f"{text} by itself: what it holds is not what it answers")

@@ -95,7 +95,8 @@ class EffectArrays:
         marks = acting.marks(columns)
         rollout.place_marks(self.arrays["settle"], marks)
         on, terms = acting.switched_on(columns), self.terms
-        of_kind = ([x.kind == "joint" for x in terms], [x.kind == "link" for x in terms], [x.persistent for x in terms])
+        of_kind = ([x.kind == "joint" for x in terms], [x.kind == "link" for x in terms], [x.persistent for x in terms],
+                   [x.holds is not None for x in terms])  # fmt: skip
         kinds = [(on & torch.tensor(k, device=on.device)).any(1, keepdim=True) for k in of_kind]
         sets = torch.cat([on, *kinds, marks[:, None] != 0.0], 1)
         groups = sets.view(rollout.blocks, rollout.model.width, -1).any(1)
@@ -190,7 +191,8 @@ def _grip(rollout: ReplayWorlds, recording: Recording) -> Array:
 
     Returns:
         Grasp point [m] and segment's axis in the link's frame, the way down (negative) and up to its ends [m], the
-        point in the world in the given pose [m], and the recording's largest force [N], shape [12].
+        point in the world in the given pose [m], the recording's largest force [N], and where it stands before [m],
+        shape [15].
     """
     system = rollout.system
     assert isinstance(system, BranchSystem)
@@ -202,6 +204,7 @@ def _grip(rollout: ReplayWorlds, recording: Recording) -> Array:
     return np.concatenate([
         links.in_link_frame(link, point), along, [-point[2], branch.length[segment] - point[2]],
         branch.lower_end[segment] + point[2] * branch.axis[segment], [np.linalg.norm(recording.input, axis=1).max()],
+        recording.off,
     ])  # fmt: skip
 
 

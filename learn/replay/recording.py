@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...sim.base.types import Array
-from ..cases.case import BranchCase, JointCase
+from ..cases.case import BranchCase, BranchTrajectory, JointCase
+from ..cases.noise import NoiseEstimate, estimate_noise
+
+#: Most samples of a branch that stands untouched, and how many deviations of their mean count as off its rest.
+MOST_STILL, FAR = 10, 4.0
+#: Deviations of its noise within which a force may be none.
+NONE = 3.0
 
 
 @dataclass(frozen=True)
@@ -26,6 +32,7 @@ class Recording:
         sensed: What a branch's force sensor read, gripper open or not [N], shape [T, 3]; None: the same as ``input``.
         fine: Of a torque fit, motion and efforts under a wider filter, at all samples, shape [T, 3 J + I].
         every: Of a torque fit, how many samples of ``fine`` there are to one that is kept; 0 before any are left out.
+        off: Displacement at which a branch stands before it is pulled [m], shape [3]; zero where that is only noise.
     """
 
     t: Array
@@ -38,6 +45,7 @@ class Recording:
     sensed: Array | None = None
     fine: Array | None = None
     every: int = 0
+    off: Array = field(default_factory=lambda: np.zeros(3))
 
 
 def beginning(recording: Recording, count: int) -> Recording:
@@ -50,9 +58,11 @@ def beginning(recording: Recording, count: int) -> Recording:
 def recordings(case: BranchCase | JointCase) -> list[Recording]:
     """Return a case's trajectories; a branch's force is exactly zero where the gripper is known to be open."""
     if isinstance(case, BranchCase):
+        noise = estimate_noise(case)
         return [
             Recording(t.t, np.where(t.no_contact[:, None], 0.0, t.force), np.hstack([t.displacement, t.velocity]),
-                      np.zeros((0, 2)), ~t.no_contact, t.grasp, t.t_start, t.force)
+                      np.zeros((0, 2)), ~t.no_contact, t.grasp, t.t_start, t.force,
+                      off=standing(t, noise))
             for t in case.trajectories
         ]  # fmt: skip
     return [
@@ -60,6 +70,21 @@ def recordings(case: BranchCase | JointCase) -> list[Recording]:
                   _first_state(case, t.output, t.t), np.zeros(len(t.t), dtype=bool), None, t.t_start)
         for t in case.trajectories
     ]  # fmt: skip
+
+
+def standing(t: BranchTrajectory, noise: NoiseEstimate) -> Array:
+    """Return the displacement at which a branch stands still before a force acts [m], shape [3].
+
+    It is zero where the recording begins with a force or a motion, or no further off than noise.
+    """
+    untouched = t.no_contact | (np.abs(t.force) <= NONE * noise.force).all(axis=1)
+    count = int(np.logical_and.accumulate(untouched[:MOST_STILL]).sum())
+    if count == 0:
+        return np.zeros(3)
+    place, speed = t.displacement[:count].mean(axis=0), t.velocity[:count].mean(axis=0)
+    off = np.abs(place) > FAR * noise.displacement / np.sqrt(count)
+    moves = np.abs(speed) > FAR * noise.velocity / np.sqrt(count)
+    return np.asarray(place * (off.any() and not moves.any()))
 
 
 def _first_state(case: JointCase, output: Array, t: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import signal
@@ -241,12 +242,16 @@ def start_warp(*, torch: bool = True) -> None:
     with uninterrupted():
         import warp as wp
 
+        from .header import fetch_header, keep_header
+
         if torch:
             import_module("torch")
     wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
     for line in _said_by_native_code(wp.init):
         if "CUDA driver" not in line and "Support for Python 3.10" not in line:
             print(line, file=sys.stderr)
+    fetch_header()
+    atexit.register(keep_header)
 
 
 def _said_by_native_code(call: Callable[[], object]) -> list[str]:

@@ -4,6 +4,7 @@ from typing import Any
 
 import warp as wp
 
+from ...kernels.effects.held import held
 from ...kernels.lanes.algebra import add, div, mul, norm, sub
 from ...kernels.lanes.real import fma, real, where_neg
 from .registry import Effect, EffectParameter, Law, register
@@ -42,6 +43,13 @@ def dry_friction(j: Any, p: Any, r: Any):
 
 
 @wp.func
+def dry_friction_holds(j: Any, p: Any, r: Any):
+    """Up to T, bent as far as that takes."""
+    least = real(BEND, p.a)
+    return held(r, p.a, where_neg(p.b - least, least, p.b))
+
+
+@wp.func
 def dry_friction_at_joint(j: Any, p: Any, r: Any):
     """Friction whose bend is small beside the motion, whatever that is: a joint may turn by radians or slide by mm."""
     return friction(j, p.a, p.b, p.c, r)
@@ -69,7 +77,7 @@ EFFECT = register(
         signature="oscillations decay in a straight line and stop off centre; loops keep their width however slow",
         mistaken_for=("hysteresis_boucwen", "plastic_set", "quadratic_drag"),
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
-        branch=Law("joint", (_TORQUE, _BEND, _GRADUAL), dry_friction, memory=1),
+        branch=Law("joint", (_TORQUE, _BEND, _GRADUAL), dry_friction, memory=1, holds=dry_friction_holds),
         joint=Law("joint", (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL), dry_friction_at_joint, memory=1),
     )
 )

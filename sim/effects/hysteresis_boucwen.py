@@ -4,6 +4,7 @@ from typing import Any
 
 import warp as wp
 
+from ...kernels.effects.held import held
 from ...kernels.lanes.algebra import add, div, dot, mul, norm, sub
 from ...kernels.lanes.real import fma, real, sqrt_, where_neg
 from .registry import Effect, EffectParameter, Law, register
@@ -54,6 +55,12 @@ def hysteresis_boucwen(j: Any, p: Any, r: Any):
     return type(r)(z * (o - k), z, k, o)
 
 
+@wp.func
+def hysteresis_holds(j: Any, p: Any, r: Any):
+    """Up to a K y: what the second spring gives where its slider is about to yield."""
+    return held(r, p.a * j.stiffness * p.b, p.b)
+
+
 _PARAMETERS = (
     EffectParameter("share", "1", 0.02, 3.0, scale="log", typical=0.3, tries=1),
     EffectParameter("yield_rad", "rad", lambda s: 0.02 * s.angle, lambda s: s.angle, scale="log"),
@@ -75,7 +82,7 @@ EFFECT = register(
         signature="loops of force over displacement that are as wide slow as fast; stiffer after each reversal",
         mistaken_for=("dry_friction", "viscoelastic_sls", "plastic_set"),
         probe="the same triangle of force at two speeds; a small loop inside a large one",
-        branch=Law("joint", (*_PARAMETERS, _LOADING, _SEPARATE), hysteresis_boucwen, memory=1),
+        branch=Law("joint", (*_PARAMETERS, _LOADING, _SEPARATE), hysteresis_boucwen, memory=1, holds=hysteresis_holds),
         joint=Law("joint", (*_PARAMETERS, _STIFFENING), hysteresis_boucwen, memory=1),
     )
 )

@@ -130,6 +130,8 @@ class Law:
         memory, persistent: See `kernels.effects.terms.Term`.
         settles: Whether a branch is at rest elsewhere than in its given pose while the effect acts.
         active: Whether it may give energy, as a gust does; every other law takes energy or gives back what it stored.
+        holds: Device function ``holds(j, p, r)`` of a law at a joint that keeps a branch off its rest, as dry friction
+            does: of the torque ``r.torque`` what it holds, and the memory with which it does (`kernels.effects.held`).
     """
 
     kind: Kind
@@ -140,6 +142,7 @@ class Law:
     persistent: bool = False
     settles: bool = False
     active: bool = False
+    holds: Any = None
 
 
 @dataclass(frozen=True)
@@ -252,6 +255,6 @@ def terms_of(names: tuple[str, ...], form: Form) -> tuple[Term, ...]:
     """Return the kernel terms of some effects, in the order of the registry, whatever the order of the names."""
     chosen = [e for e in effects() if e.name in names]
     return tuple(
-        Term(e.name, law.kind, law.law, slot, law.per_joint, law.memory, law.persistent)
+        Term(e.name, law.kind, law.law, slot, law.per_joint, law.memory, law.persistent, law.holds)
         for slot, (e, law) in enumerate((e, e.law(form)) for e in chosen)
     )

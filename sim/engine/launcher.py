@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import warp as wp
 
 from ...kernels.tree.layout import layout_of
 from ..base.console import meanwhile
+from ..base.header import fetch_header, keep_header
 from ..base.host import num_threads
 from ..base.thread_pool import Launches, recorded, together
 from .arrays import LaneArray
@@ -102,8 +102,13 @@ def load(module: Any, device: Any, block: int) -> None:
     """Load a kernel's module as launches do, and say so where it must be compiled, which takes up to minutes."""
     wp.init()  # the cache has its place from then on
     kept = Path(str(wp.config.kernel_cache_dir)) / module.get_module_identifier(block)
-    with nullcontext() if any(kept.glob("*.o" if device.is_cpu else "*.sm*")) else meanwhile(COMPILING):
+    if any(kept.glob("*.o" if device.is_cpu else "*.sm*")):
         module.load(device, block_dim=block)
+        return
+    fetch_header()
+    with meanwhile(COMPILING):
+        module.load(device, block_dim=block)
+    keep_header()
 
 
 class Recorded:

@@ -13,7 +13,7 @@ from ....sim.base.types import Array
 from ...policies.compare import Episodes, feasible, mean, relative_success
 from ...tasks.measures import REACH_COLUMNS
 from ..chapter5.findings import LEAST_SEEDS, Interval, interval
-from .runs import COMPARED, PATTERNS, TORQUES, Changes, Options, Run
+from .runs import BEYOND, COMPARED, PATTERNS, TORQUES, Changes, Options, Run
 
 COLUMNS = {column.name: column for column in REACH_COLUMNS}
 SUCCESS, FORCE, RUPTURE, STEPS = "Test SR %", "Force N", "Above 80 N %", "Steps %"
@@ -131,7 +131,7 @@ def claims(found: Findings) -> list[Claim]:
                Run("pcap", springs="beam"), SUCCESS),
     ]  # fmt: skip
     past = [_ratio(found, f"PCAP's mean force over {p}'s (past the thesis)", None, pcap, Run(p), FORCE)
-            for p in COMPARED[3:]]  # fmt: skip
+            for p in BEYOND]  # fmt: skip
     return [*out, *past]
 
 

@@ -18,8 +18,11 @@ from ...tasks.registry import TaskRegistry
 TASK = "reach"
 FORESTS = ("Ta", "Tb", "Tc", "Td")
 FRACTAL = "fractal"
-COMPARED = ("ppo", "cpo", "pcap", "pcap-rnn", "ppo-lagrangian", "skin")
-"""Policies that verdicts are about: trained with every seed. The last three are not the thesis's."""
+THESIS = ("ppo", "cpo", "pcap")
+BEYOND = ("pcap-rnn", "ppo-lagrangian", "skin")
+"""Policies that are not the thesis's."""
+COMPARED = (*THESIS, *BEYOND)
+"""Policies that verdicts are about: trained with every seed."""
 TORQUES = ("ppo+", "cpo+")
 """Policies of figure B.4 beside PCAP."""
 MPC = "mpc"
@@ -106,8 +109,8 @@ class Options:
 
     @property
     def runs(self) -> tuple[Run, ...]:
-        """Every run once; those that verdicts are about first, all of a seed before those of the next."""
-        compared = [Run(policy, repeat=k) for k in range(self.seeds) for policy in COMPARED]
+        """Every run once; the thesis's policies first, seed by seed, for the claims are about them."""
+        compared = [Run(p, repeat=k) for group in (THESIS, BEYOND) for k in range(self.seeds) for p in group]
         ablations = [
             run
             for k in range(self.ablation_seeds)

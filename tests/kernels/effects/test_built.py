@@ -35,12 +35,23 @@ def test_a_law_that_differs_in_its_helper_is_another_kernel(kind):
     """Compile anew where what a law calls is another: modules have other names, as Warp's cache on disk knows them."""
     kernels = []
     for factor in (1, 2, 1):
-        terms = (Term("x", kind, law_with(factor), 0, True),)
+        terms = (Term("x", kind, law_with(factor), 0, True), Term("y", kind, law_with(1), 1, True))
         kernels.append((effect_rollout_kernels(16, 32, terms).joint, effect_rollout_kernels(16, 32, terms).point))
         if kind != "force":  # a free step has no sensor
             kernels[-1] += (term_kernels(16, 32, terms).step,)
     names = [[k.module.name for k in own] for own in kernels]
     assert names[0] == names[2] and not set(names[0]) & set(names[1])
+
+
+def test_a_law_that_holds_otherwise_is_another_kernel():
+    """Compile anew where what a law says that it holds is another."""
+    law = law_with(1)
+    names = []
+    for factor in (1, 2, 1):
+        own = Term("x", "joint", law, 0, True, memory=1, holds=law_with(factor))
+        other = Term("y", "joint", law, 1, True, memory=1, holds=law_with(1))
+        names.append(effect_rollout_kernels(16, 32, (own, other)).point.module.name)
+    assert names[0] == names[2] != names[1]
 
 
 def test_one_kernel_serves_any_choice_of_effects():

@@ -4,10 +4,15 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import warp as wp
+from bough.kernels.effects.held import held
+from bough.kernels.lanes.real import real
 from bough.learn.laws import check_law, checks, law_from
 from bough.learn.laws.bench import SETTING, ask_joint, ask_link, closed_path, values_in
 from bough.learn.laws.recovery import recover
@@ -216,3 +221,23 @@ def test_a_package_adds_its_law(tmp_path):
     assert done.returncode == 2
     assert "bough: warning: broken 1.0: effect bent is left out: ModuleNotFoundError" in done.stderr
     assert "bent_damping" in done.stderr.splitlines()[-1]
+
+
+@wp.func
+def a_third(j: Any, p: Any, r: Any):
+    """Says that it holds all, with a memory that gives a third."""
+    right = held(r, p.a, p.b)
+    return type(r)(r.torque, right.memory * real(1.0 / 3.0, p.a), right.stiffness, right.damping)
+
+
+def test_a_law_that_holds_less_than_it_says_is_told(monkeypatch, tmp_path):
+    """Friction that begins a third as bent as the spring is: the branch falls back by itself."""
+    friction = effect_of("dry_friction")
+    given = replace(friction, branch=replace(friction.branch, holds=a_third))
+    monkeypatch.setattr(registry, "_ROWS", {**registry._ROWS, "dry_friction": given})
+    case = case_for("branch", tmp_path / "case")
+    values = {"torque_Nm": SETTING.torque, "bend_rad": 10.0 * SETTING.angle, "gradual": 0.0}
+    monkeypatch.setattr(checks, "values_in", lambda law: [values[p.name] for p in law.parameters])
+    assert checks._holding(given, case).verdict == "missing"
+    monkeypatch.setattr(registry, "_ROWS", {**registry._ROWS, "dry_friction": friction})
+    assert checks._holding(friction, case).verdict == "ok"

@@ -1,0 +1,113 @@
+"""Where a recording begins of a branch that a law holds off its rest.
+
+Dry friction stops a branch off centre, and the next pull finds it there. A grasp point that stands at d from its calm
+place while nothing pulls, with r_i to it from joint i, is taken there by
+
+    phi_i = r_i x d / sum_j |r_j|^2
+
+over the joints at which a law holds anything; of one joint this is the smallest turn. The laws hold the spring's
+torque K phi_i as far as they can, and the joint begins where they do: without such a law at rest.
+"""
+
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from ..lanes.algebra import cross, div, dot, exponential, mul, norm, sub, unrotate
+from ..lanes.real import fma, real, where_neg
+from ..tree.articulated import SPHERICAL
+from .terms import Term, function_of, memory_row, named_all, reader
+
+__all__ = ["held", "holder_of"]
+
+
+@wp.func
+def held(r: Any, most: Any, y: Any):
+    """Of the torque ``r.torque``, what a law tau = -most z / y, |z| <= y, holds at rest, and the z that does."""
+    full = norm(r.torque)
+    full = where_neg(full - most, most, full)
+    o = real(0.0, y)
+    return type(r)(r.torque * (most / full), r.torque * ((o - y) / full), o, o)
+
+
+def _hold_own(term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
+    """Device function that holds what is left of a torque, and remembers that; worlds of a mark keep their memory."""
+    read, holds = reader(term, types, key), term.holds
+
+    def hold_own(e: int, i: int, fx: Any, j: Any, left: Any, mark: Any):
+        o = real(0.0, mark)
+        k = row * fx.stride + i
+        z = fx.memory[e, k]
+        r = holds(j, read(e, i, fx), types.Response(left, z, o, o))
+        fx.memory[e, k] = type(z)(
+            where_neg(o - mark, z.x, r.memory.x), where_neg(o - mark, z.y, r.memory.y),
+            where_neg(o - mark, z.z, r.memory.z),
+        )  # fmt: skip
+        return left - r.torque
+
+    return function_of(hold_own, term, f"hold{key}")
+
+
+def _hold_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
+    """Device function that returns what the laws at a joint leave of a torque that they are to hold."""
+    own = [term for term in terms if term.holds is not None]
+    slots, count = [term.slot for term in own], len(own)
+    holds = [_hold_own(term, types, key, memory_row(terms, term.slot)) for term in own]
+    named, JointState = named_all(holds, f"hold_{key}"), types.JointState
+
+    def hold(e: int, i: int, m: Any, fx: Any, torque: Any, mark: Any):
+        if wp.static(False):
+            named(torque)
+        o = real(0.0, mark)
+        zero = torque - torque
+        j = JointState(zero, zero, m.stiffness[e, i], o, o)
+        left = type(torque)(torque.x, torque.y, torque.z)
+        for n in range(wp.static(count)):
+            for _ in range(fx.active[e, wp.static(slots[n])]):
+                left = wp.static(holds[n])(e, i, fx, j, left, mark)
+        return left
+
+    return wp.func(hold, name=f"hold_{key}")
+
+
+def holder_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
+    """Return the device function that begins a recording where laws hold a branch.
+
+    It wants links located with the joints at rest. Worlds whose ``settle`` is marked stay as they are.
+    """
+    hold = _hold_of(terms, types, key)
+
+    def begin(e: int, row: int, place: int, point: Any, off: Any, m: Any, x: Any, fx: Any, s: Any):
+        mark = fx.settle[e]
+        o = real(0.0, mark)
+        one = real(1.0, mark)
+        total = o
+        i = place
+        while i > 0:
+            arm = point - s.accel[row, i]
+            asked = type(arm)(m.stiffness[e, i], o, o)
+            given = asked - hold(e, i, m, fx, asked, mark)
+            total = where_neg(o - dot(given, given), fma(dot(arm, arm), one, total), total)
+            i = m.parent[e, i]
+        total = where_neg(o - total, total, one)
+        i = place
+        while i > 0:
+            turn = unrotate(s.pose[row, i], cross(point - s.accel[row, i], off)) * (one / total)
+            if m.kind[e, i] != SPHERICAL:
+                turn = type(turn)(turn.x, o, o)
+            asked = turn * m.stiffness[e, i]
+            spring = m.stiffness[e, i]
+            spring = where_neg(o - spring, spring, one)  # a joint without a spring has nothing to hold
+            turn = (asked - hold(e, i, m, fx, asked, mark)) * (one / spring)
+            q = x.coordinate[e, i]
+            new = exponential(turn, q)
+            if m.kind[e, i] != SPHERICAL:
+                new = type(q)(one, turn.x, o, o)
+            x.coordinate[e, i] = type(q)(
+                where_neg(o - mark, q.w, new.w), where_neg(o - mark, q.x, new.x),
+                where_neg(o - mark, q.y, new.y), where_neg(o - mark, q.z, new.z),
+            )  # fmt: skip
+            i = m.parent[e, i]
+
+    return wp.func(begin, name=f"begin_{key}")
