@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from ...sim.base.types import Array
 from ..reports.figures import ALARM, FAINT, MEASURED, MODEL, NOISE, WIDTH, push_direction, styled
+from .consistent import percent
 from .decide import TIED
 from .diagnosis import Share
 from .where import CONTRAST
@@ -48,9 +49,9 @@ def heat_figure(
     """
     count = len(base)
     figure = Figure(figsize=(WIDTH, 1.7 + 0.3 * max(count, 3)), layout="constrained")
-    known = f"noise {_percent(noise)}"
+    known = f"noise {percent(noise)}"
     if scatter is not None and scatter > noise:
-        known += f", repeats differ by {_percent(scatter)}"
+        known += f", repeats differ by {percent(scatter)}"
     figure.suptitle(f"Residual as a share of the motion ({known})", fontsize=11)
     axes = figure.subplots(1, 2, sharey=True)
     low, top = heat_scale(np.concatenate([base, best]), noise)
@@ -66,7 +67,7 @@ def heat_figure(
     axes[0].invert_yaxis()
     bar = figure.colorbar(drawn, ax=axes, label="rms residual / rms motion", fraction=0.05)
     ticks = [m * 10.0**e for e in range(-9, 3) for m in (1, 2, 5) if low <= m * 10.0**e <= top]
-    bar.set_ticks(ticks[:: 1 + len(ticks) // 8], labels=[_percent(x) for x in ticks[:: 1 + len(ticks) // 8]])
+    bar.set_ticks(ticks[:: 1 + len(ticks) // 8], labels=[percent(x) for x in ticks[:: 1 + len(ticks) // 8]])
     bar.ax.minorticks_off()
     return figure
 
@@ -76,10 +77,6 @@ def heat_scale(shares: Array, noise: float) -> tuple[float, float]:
     top = max(float(np.nanmax(shares)), 1e-12)
     low = max(noise, float(np.nanmin(shares)), 1e-3 * top)
     return min(low, top), max(top, 4.0 * low)
-
-
-def _percent(x: float) -> str:
-    return f"{100.0 * x:.2g} %" if x >= 1e-6 else f"{100.0 * x:.0e} %"
 
 
 @styled

@@ -27,13 +27,29 @@ FEW = ("dry_friction", "force_scale", "force_bias", "cubic_stiffness")
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory):
-    """Return a contest of four effects on a branch of one segment, 50 samples a recording."""
+def branch(tmp_path_factory):
+    """Return a case of a branch of one segment, eight recordings of 50 samples."""
     folder = tmp_path_factory.mktemp("nested") / "case"
     make_branch_case(folder, 4, segments=1, samples=50, dt=1e-3)
-    case = load_case(folder)
+    return load_case(folder)
+
+
+def contest_on(case, count):
+    """Return a contest of four effects on a case's first recordings."""
     noise = estimate_noise(case)
-    return Contest(case, recordings(case), np.concatenate([noise.displacement, noise.velocity]), FEW)
+    return Contest(case, recordings(case)[:count], np.concatenate([noise.displacement, noise.velocity]), FEW)
+
+
+@pytest.fixture(scope="module")
+def small(branch):
+    """Return a contest on three recordings."""
+    return contest_on(branch, 3)
+
+
+@pytest.fixture
+def whole(branch):
+    """Return a contest on all of them: some are left out at a time."""
+    return contest_on(branch, 8)
 
 
 def inside(contest, generator, count):
@@ -197,28 +213,28 @@ def test_a_false_minimum_of_the_base_raises_no_alarm(tmp_path, monkeypatch):
     assert found.base_reduced_chi2 < 1.1 and all(r.explained >= 0.0 for r in found.ranking)
 
 
-def test_a_further_effect_must_pay_where_it_was_not_fitted(small):
+def test_a_further_effect_must_pay_where_it_was_not_fitted(whole):
     """Let a force's offset pay beside its scale where both are hidden, and not where the scale alone is.
 
     Of a parameter too many nothing is kept on average; half of its gain is in fewer than half of eight measurements.
     """
     scale, bias = (
-        next(k for k, c in enumerate(small.candidates) if c.name == n) for n in ("force_scale", "force_bias")
+        next(k for k, c in enumerate(whole.candidates) if c.name == n) for n in ("force_scale", "force_bias")
     )
     members = tuple(sorted((scale, bias)))
 
     def pay(size, seed):
-        truth = activated(small, small.base_batch(1), [members])
-        truth.free[0, small.candidates[scale].columns[0]] = 0.1
-        first = small.candidates[bias].columns[0]
-        truth.free[0, first] = size * small.high[first]
-        clean = small.simulate(small.values(truth), truth.start)[0].double()
-        noise = small.sigma.cpu().numpy() * np.random.default_rng(seed).standard_normal(clean.shape)
-        small.measured = clean + torch.as_tensor(noise)
+        truth = activated(whole, whole.base_batch(1), [members])
+        truth.free[0, whole.candidates[scale].columns[0]] = 0.1
+        first = whole.candidates[bias].columns[0]
+        truth.free[0, first] = size * whole.high[first]
+        clean = whole.simulate(whole.values(truth), truth.start)[0].double()
+        noise = whole.sigma.cpu().numpy() * np.random.default_rng(seed).standard_normal(clean.shape)
+        whole.measured = clean + torch.as_tensor(noise)
         single = truth.copy()
-        single.active[:, list(small.candidates[bias].columns)] = False
-        both, one = (Model(m, fit(small, b, 10), True) for m, b in ((members, truth), ((scale,), single)))
-        return pays(FittedModels(small, one, [one, both]), both, one)
+        single.active[:, list(whole.candidates[bias].columns)] = False
+        both, one = (Model(m, fit(whole, b, 10), True) for m, b in ((members, truth), ((scale,), single)))
+        return pays(FittedModels(whole, one, [one, both]), both, one)
 
     assert all(pay(0.2, seed) for seed in range(3))
     assert sum(pay(0.0, seed) for seed in range(8)) < 4
