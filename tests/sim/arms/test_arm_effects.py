@@ -10,7 +10,9 @@ from bough.sim.engine.simulator import Simulator
 from oracles.contact_case import STRETCHED, contacts_of, drive, pushed_posts, pushes, simulator, ternary
 from scipy.spatial.transform import Rotation
 
+#: One choice for all tests here and for `test_independent_worlds`: a kernel of contact takes 10 s to compile.
 LAWS = {
+    "cubic_stiffness": {"cubic_radm2": 2.0},
     "dry_friction": {"torque_Nm": 0.4},
     "plastic_set": {"share": 0.5, "yield_rad": 0.03, "isotropic": 0.4},
     "quadratic_drag": {"coefficient_kgpm3": 2.0},
@@ -64,7 +66,7 @@ def test_neutral_effects_keep_the_bits_of_contact():
 def test_a_push_settles_at_the_force_of_the_cubic_spring():
     """Push posts whose springs stiffen: K (1 + kappa |phi|^2) phi = r x f within 2 %, as for a plain spring."""
     trees, q, arm = pushed_posts(12)
-    sim = simulator(trees, arm, q=q, gravity=(0.0, 0.0, 0.0), effects=("cubic_stiffness",))
+    sim = simulator(trees, arm, q=q, gravity=(0.0, 0.0, 0.0), effects=tuple(LAWS))
     sim.effects["cubic_stiffness"]["cubic_radm2"].fill_(20.0)
     drive(sim, 14.0, lambda t: [0.15, 0, 0, 0, 0, 0])
     pushed, stiffened = 0, 0
@@ -83,7 +85,7 @@ def test_a_branch_that_yields_stays_bent():
     5 %: the arm's links turn a post a little about other axes while they slide along it.
     """
     trees, q, arm = pushed_posts(6)
-    sim = simulator(trees, arm, q=q, gravity=(0.0, 0.0, 0.0), effects=("plastic_set",))
+    sim = simulator(trees, arm, q=q, gravity=(0.0, 0.0, 0.0), effects=tuple(LAWS))
     give(sim.effects, {"plastic_set": {"share": 0.5, "yield_rad": 0.02, "isotropic": 1.0}})
     angles = drive(
         sim, 6.0, lambda t: [0.25 if t < 2.0 else -0.25, 0, 0, 0, 0, 0],

@@ -11,9 +11,10 @@ from bough.sim.base.host import simd_width
 from bough.sim.trees.tree import Tree
 from oracles.contact_case import post, simulator, ternary
 
-LAWS = ("dry_friction", "plastic_set", "quadratic_drag", "tip_mass", "wind_gust")
+LAWS = ("cubic_stiffness", "dry_friction", "plastic_set", "quadratic_drag", "tip_mass", "wind_gust")
 #: Values of all effects' parameters that switch them on.
 ON = {
+    "cubic_stiffness": {"cubic_radm2": 2.0},
     "dry_friction": {"torque_Nm": 0.4},
     "plastic_set": {"share": 0.5, "yield_rad": 0.03},
     "quadratic_drag": {"coefficient_kgpm3": 2.0},
