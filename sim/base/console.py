@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import json
 import os
 import signal
@@ -242,7 +241,7 @@ def start_warp(*, torch: bool = True) -> None:
     with uninterrupted():
         import warp as wp
 
-        from .header import fetch_header, keep_header
+        from .header import share_header
 
         if torch:
             import_module("torch")
@@ -250,8 +249,7 @@ def start_warp(*, torch: bool = True) -> None:
     for line in _said_by_native_code(wp.init):
         if "CUDA driver" not in line and "Support for Python 3.10" not in line:
             print(line, file=sys.stderr)
-    fetch_header()
-    atexit.register(keep_header)
+    share_header()
 
 
 def _said_by_native_code(call: Callable[[], object]) -> list[str]:

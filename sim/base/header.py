@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import shutil
 import tempfile
+from functools import cache
 from hashlib import blake2s
 from pathlib import Path
 
 import warp as wp
 
 _SUFFIX = ".pch"
+
+
+@cache
+def share_header() -> None:
+    """Fetch what earlier processes have kept, once, and keep what this one makes when it ends."""
+    fetch_header()
+    atexit.register(keep_header)
 
 
 def fetch_header() -> None:

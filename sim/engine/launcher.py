@@ -11,7 +11,7 @@ import warp as wp
 
 from ...kernels.tree.layout import layout_of
 from ..base.console import meanwhile
-from ..base.header import fetch_header, keep_header
+from ..base.header import keep_header, share_header
 from ..base.host import num_threads
 from ..base.thread_pool import Launches, recorded, together
 from .arrays import LaneArray
@@ -101,11 +101,11 @@ class Launcher:
 def load(module: Any, device: Any, block: int) -> None:
     """Load a kernel's module as launches do, and say so where it must be compiled, which takes up to minutes."""
     wp.init()  # the cache has its place from then on
+    share_header()
     kept = Path(str(wp.config.kernel_cache_dir)) / module.get_module_identifier(block)
     if any(kept.glob("*.o" if device.is_cpu else "*.sm*")):
         module.load(device, block_dim=block)
         return
-    fetch_header()
     with meanwhile(COMPILING):
         module.load(device, block_dim=block)
     keep_header()
