@@ -19,6 +19,15 @@ _GALLERY = "a block of the gallery (3 to 8 s of CPU); make test runs the one wit
 _GPU = "compiles a large kernel for a GPU; make test keeps the plain step and the one with laws in float32"
 
 LONG = {
+    "cli/robots/test_run_story.py::test_a_policy_runs_in_two_scenes": "37 s of real time; make test keeps a dry run",
+    "cli/test_simulate_story.py::test_a_case_moves_as_the_same_branch": "11 s; make test keeps trees beside MuJoCo",
+    "kernels/effects/test_effects.py::test_worlds_in_lanes_equal": "two kernels, 13 s; make test keeps a forest's",
+    "learn/hidden/test_hidden_joints.py::test_every_case_of_a_plan_moves_sanely[6]": _OTHER,
+    "learn/laws/test_check_law.py::test_a_fault_is_told[does nothing": "fits a law, 6 s; make test keeps ten faults",
+    "learn/robot/test_client.py::test_a_service_that_ends_is_told": "a service and its end, 4 s; make test keeps stops",
+    "sim/newton/test_newton_solver.py::test_states_are_shown_by": "compiles Newton's viewer, 9 s",
+    "test_repository.py::test_examples_of_the_pages_run[push.md": _PAGES,
+    "test_repository.py::test_examples_of_the_pages_run[touch.md": _PAGES,
     "cli/test_diagnose_story.py::test_exam_is_marked_and_goes_on": "an exam of two cases; its parts are tested apart",
     "cli/test_diagnose_story.py::test_exam_on_joints_is_marked": "an exam of two cases; its parts are tested apart",
     "cli/test_diagnose_story.py::test_a_killed_diagnosis_reaches_the_same_verdict": _SEARCH,

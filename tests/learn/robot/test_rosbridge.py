@@ -7,6 +7,7 @@ import pytest
 
 pytest.importorskip("roslibpy", reason="rosbridge needs the extra robot")
 
+from bough.learn.robot import rosbridge
 from bough.learn.robot.guard import Guard
 from bough.learn.robot.limits import default_limits
 from bough.learn.robot.log import joint_columns, read_log
@@ -117,7 +118,8 @@ def test_states_that_cannot_be_read():
     assert reader.sample.time == 3.0 and not reader.fault
 
 
-def test_nobody_answers():
-    """Say where nobody answers."""
+def test_nobody_answers(monkeypatch):
+    """Say where nobody answers, when patience has ended."""
+    monkeypatch.setattr(rosbridge, "_PATIENCE", 0.5)
     with pytest.raises(InputError, match="nobody answers"):
         RosBridge(ARM, "127.0.0.1", 9, "kinova")

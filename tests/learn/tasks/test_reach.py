@@ -1,7 +1,5 @@
 """Reaching: rewards, flags, forces, laws of control and test sets by hand, every policy's table B.1, exact resume."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -345,11 +343,10 @@ def test_settings_that_cannot_be(change, found):
     ("given", "says"),
     [(["--policy", "sac"], "sac; allowed: pcap, ppo, cpo, ppo+, cpo+, ppo-"), (["--set", "forest=oak"], "forest")],
 )
-def test_command_refuses(given, says, tmp_path):
+def test_command_refuses(forked, given, says, tmp_path):
     """Exit with 2, one line, and nothing written."""
     out = tmp_path / "run"
-    command = [sys.executable, "-m", "bough", "train", "reach", "--out", str(out), *given]
-    done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    done = forked.run("train", "reach", "--out", out, *given)
     assert done.returncode == 2 and says in done.stderr and len(done.stderr.strip().splitlines()) == 1, done.stderr
     assert not out.exists()
 

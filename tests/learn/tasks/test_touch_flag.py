@@ -1,7 +1,5 @@
 """The flag of touch from joint torques, in the loop: samples by NumPy, a robot's stream, exact resume, bad models."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -177,7 +175,7 @@ def test_settings_that_cannot_be(change, found):
     assert found in str(error.value) and "\n" not in str(error.value)
 
 
-def test_models_that_do_not_fit_are_refused(tmp_path):
+def test_models_that_do_not_fit_are_refused(forked, tmp_path):
     """A model of another rate, or of other joints: one line. One of other features, by the command: exit with 2."""
     for name, given, says in (("rate", {"rate": 25.0}, "rate: found 25 Hz; allowed: 60 Hz"),
                               ("joints", {"joints": 5}, "joints: found 5; allowed: 6")):  # fmt: skip
@@ -190,7 +188,6 @@ def test_models_that_do_not_fit_are_refused(tmp_path):
     np.savez(tmp_path / "features.npz", **held | {"layout": np.array("13 a joint, window 10, smoothed over 2")})
     out = tmp_path / "run"
     given = ["--set", "flag=classifier", f"classifier={tmp_path / 'features.npz'}"]
-    command = [sys.executable, "-m", "bough", "train", "reach", "--out", str(out), *given]
-    done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    done = forked.run("train", "reach", "--out", out, *given)
     assert done.returncode == 2 and "features: found '13 a joint" in done.stderr, done.stderr
     assert len(done.stderr.strip().splitlines()) == 1 and not out.exists()
