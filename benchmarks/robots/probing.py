@@ -42,6 +42,7 @@ from bough.sim.arms.jaco2 import jaco2
 from measuring import Figure
 
 MOST = len(FIXED)
+#: Range of what a hidden effect changes, a share of the motion's rms.
 SIZES = (0.05, 0.3)
 
 
@@ -123,7 +124,7 @@ def measured(options: argparse.Namespace) -> list[Figure]:
     rows = kept(options.rows)
     for k in range(count):
         name, seed = names[k % len(names)], int(rng.integers(2**31))
-        hiding = Hiding(name, None, float(np.exp(rng.uniform(*np.log(SIZES)))))
+        hiding = Hiding(name, None, float(np.exp(rng.uniform(*np.log(options.sizes)))))
         for design in ("proposed", "fixed"):
             if any((r["branch"], r["design"]) == (k + 1, design) for r in rows):
                 continue
@@ -174,6 +175,7 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--branches", type=int, default=20)
     out.add_argument("--segments", type=int, default=3)
     out.add_argument("--effects", nargs="*", default=[], help="hidden ones and candidates; all if none is given")
+    out.add_argument("--sizes", type=float, nargs=2, default=SIZES, help="range of what a hidden effect changes")
     out.add_argument(
         "--rows", type=Path, help="file with a line for every branch and design; those in it are not repeated"
     )

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import warp as wp
 from bough.kernels.effects.held import held
+from bough.kernels.lanes.algebra import mul
 from bough.kernels.lanes.real import real
 from bough.learn.laws import check_law, checks, law_from
 from bough.learn.laws.bench import SETTING, ask_joint, ask_link, closed_path, values_in
@@ -227,7 +228,7 @@ def test_a_package_adds_its_law(tmp_path):
 def a_third(j: Any, p: Any, r: Any):
     """Says that it holds all, with a memory that gives a third."""
     right = held(r, p.a, p.b)
-    return type(r)(r.torque, right.memory * real(1.0 / 3.0, p.a), right.stiffness, right.damping)
+    return type(r)(r.torque, mul(right.memory, real(1.0 / 3.0, p.a)), right.stiffness, right.damping)
 
 
 def test_a_law_that_holds_less_than_it_says_is_told(monkeypatch, tmp_path):
