@@ -18,8 +18,18 @@ _TUTORIALS = "a whole tutorial (15 to 40 s of CPU); make test turns all into pag
 _GALLERY = "a block of the gallery (3 to 8 s of CPU); make test runs the one with four species"
 _GPU = "compiles a large kernel for a GPU; make test keeps the plain step and the one with laws in float32"
 
+_RUN = "trains two policies first (25 s), then real time; make test keeps stage, loop and plan (learn/deploy)"
+
 LONG = {
-    "cli/robots/test_run_story.py::test_a_policy_runs_in_two_scenes": "37 s of real time; make test keeps a dry run",
+    "cli/robots/test_run_story.py::test_a_policy_runs_in_two_scenes": _RUN,
+    "cli/robots/test_run_story.py::test_a_dry_run": _RUN,
+    "cli/robots/test_run_story.py::test_a_new_scene_takes_a_stop": _RUN,
+    "cli/robots/test_run_story.py::test_options_that_cannot_be": _RUN,
+    "cli/test_view_story.py::test_a_page_is_served": "7 s; make test keeps a page with sliders and mouse, in Chromium",
+    "learn/cameras/test_sources.py::test_cameras_look_at_a_served_twin": _CAMERAS,
+    "learn/laws/test_check_law.py::test_a_law_that_holds_less": "compiles a replay of its own; test_held.py stays",
+    "sim/engine/test_gpu_ready.py::test_kernels_compile_for_a_gpu[joint]": _GPU,
+    "sim/newton/test_newton_conformance.py::test_newton_s_own_tests": "compiles Newton's own kernels, 15 s; make test keeps test_newton_solver.py",
     "cli/test_simulate_story.py::test_a_case_moves_as_the_same_branch": "11 s; make test keeps trees beside MuJoCo",
     "kernels/effects/test_effects.py::test_worlds_in_lanes_equal": "two kernels, 13 s; make test keeps a forest's",
     "learn/hidden/test_hidden_joints.py::test_every_case_of_a_plan_moves_sanely[6]": _OTHER,
