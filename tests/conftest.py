@@ -24,12 +24,12 @@ from oracles.forked import Forked  # noqa: E402
 #: Files that take longest, in this order. They begin first, so that no worker is left with one when the other is done.
 #: Files that need one large kernel stand apart: two workers that meet at it would both compile it.
 FIRST = (
-    "learn/gap/test_gap.py", "cli/robots/test_run_story.py", "learn/gap/test_gap_real.py",
+    "learn/gap/test_gap.py", "learn/thesis/test_chapter3.py", "learn/gap/test_gap_real.py",
     "cli/test_diagnose_story.py", "test_pages.py", "test_repository.py", "cli/test_train_story.py",
-    "learn/gap/test_joint_intervals.py", "learn/hidden/test_forms.py", "learn/thesis/test_chapter3.py",
-    "cli/test_identify_story.py", "learn/gap/test_gap_joints.py", "learn/gap/test_gap_nested.py",
-    "sim/arms/test_contact_worlds.py", "sim/arms/test_arm_effects.py", "sim/newton/test_newton_conformance.py",
-    "cli/test_simulate_story.py", "cli/test_hide_story.py", "kernels/test_ptx.py", "sim/engine/test_gpu_ready.py",
+    "learn/gap/test_joint_intervals.py", "learn/hidden/test_forms.py", "cli/test_identify_story.py",
+    "learn/gap/test_gap_joints.py", "learn/gap/test_gap_nested.py", "sim/arms/test_contact_worlds.py",
+    "sim/arms/test_arm_effects.py", "sim/newton/test_newton_conformance.py", "cli/test_simulate_story.py",
+    "cli/test_hide_story.py", "kernels/test_ptx.py", "sim/engine/test_gpu_ready.py",
     "sim/engine/test_simulator_effects.py", "learn/inference/test_coverage.py", "learn/inference/test_identify.py",
     "learn/thesis/test_chapter5.py", "learn/thesis/test_chapter4.py", "sim/engine/test_simulator.py",
     "kernels/effects/test_effects.py", "learn/systems/test_effect_systems.py", "sim/arms/test_contact.py",
