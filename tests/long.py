@@ -29,7 +29,7 @@ LONG = {
     "learn/cameras/test_sources.py::test_cameras_look_at_a_served_twin": _CAMERAS,
     "learn/laws/test_check_law.py::test_a_law_that_holds_less": "compiles a replay of its own; test_held.py stays",
     "sim/engine/test_gpu_ready.py::test_kernels_compile_for_a_gpu[joint]": _GPU,
-    "sim/newton/test_newton_conformance.py::test_newton_s_own_tests": "compiles Newton's kernels; test_newton_solver.py stays",
+    "sim/newton/test_newton_conformance.py::test_newton_s_own_tests": "compiles Newton's kernels; the solver's stay",
     "cli/test_simulate_story.py::test_a_case_moves_as_the_same_branch": "11 s; make test keeps trees beside MuJoCo",
     "kernels/effects/test_effects.py::test_worlds_in_lanes_equal": "two kernels, 13 s; make test keeps a forest's",
     "learn/hidden/test_hidden_joints.py::test_every_case_of_a_plan_moves_sanely[6]": _OTHER,
