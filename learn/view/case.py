@@ -105,8 +105,8 @@ class CaseScene:
         arrows = [self._one(pair, shapes, k) for pair, shapes in zip(self._pairs, self._shapes, strict=True)]
         self._arrows.points = np.array(arrows, np.float32)
         force = 0.0 if t.no_contact[k] else float(np.linalg.norm(t.force[k]))
-        off = ", ".join(f"{100 * shapes.off[k]:.2g} cm" for shapes in self._shapes)
-        self._said.value = f"{t.t[k]:.2f} s, {force:.2g} N, off {off}"
+        off = ", ".join(f"{100 * shapes.off[k]:.2g}" for shapes in self._shapes)
+        self._said.value = f"{force:.2g} N, off {off} cm"
 
     def _one(self, pair: _Pair, shapes: _Shapes, k: int) -> Array:
         """Draw one model and the measured branch over it; return the arrow of the force [2, 3]."""

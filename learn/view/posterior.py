@@ -42,7 +42,7 @@ class PosteriorScene:
         count = len(self.moved)
         self._one: Grove = grove_of([tree])
         self._many: Grove = grove_of([tree] * count)
-        page.title(f"{count} branches drawn from the posterior of {case.name}")
+        page.title(f"{count} draws of {case.name}")
         page.note(f"{swatch(MEASURED)} measured, {swatch(_CLOUD)} drawn from the posterior")
         page.note("Only the held point is measured: each shape is the least bending that takes it there.")
         self._put(page, count)
@@ -82,7 +82,7 @@ class PosteriorScene:
         self._cloud.move(*self._many.ends(*bent(self.case, t.grasp, drawn, self._stiffness)))
         self._measured.move(*self._one.ends(*(part[k : k + 1] for part in self._measured_at)))
         spread = float(np.linalg.norm(now - mean, axis=1).max())
-        self._said.value = f"{t.t[k]:.2f} s, spread {100 * spread:.2g} cm"
+        self._said.value = f"spread {100 * spread:.2g} cm"
 
 
 def _springs(case: BranchCase, drawn: Drawn) -> Array:
