@@ -166,7 +166,7 @@ def _policy(options: View) -> Build:
                              device=device, test=True)  # fmt: skip
         acts = {"policy": trained.on, "zero": zero, "random": lambda t: random(t, options.seed)}
         policy = acts[options.acts](task)
-    name = f"policy after {trained.iteration} iterations" if options.acts == "policy" else f"{options.acts} actions"
+    name = f"{trained.iteration} iterations" if options.acts == "policy" else f"{options.acts} actions"
     return lambda page: PolicyScene(page, cast("AssembledTask", task), policy, name)
 
 

@@ -46,5 +46,5 @@ class Player:
             self.time += seconds * SPEEDS[self._speed.value]
             if self.time > self.seconds:
                 self.time = 0.0
-            self._slider.value = self.time
+            self._slider.value = round(self.time, 2)  # what the box beside the slider has room for
         return self.time
