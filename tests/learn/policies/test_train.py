@@ -71,7 +71,14 @@ def numbers(folder) -> list:
 
 
 def events(folder) -> dict:
-    """Return what TensorBoard shows: iterations and values by tag, without those that are times."""
+    """Return what TensorBoard shows: iterations and values by tag, without those that are times.
+
+    Files of one second and process differ by a count that TensorBoard sorts as text, 10 before 9; runs of a user do not
+    begin twice in a second.
+    """
+    for file in (folder / "tensorboard").glob("events*"):
+        head, _, count = file.name.rpartition(".")
+        file.rename(file.with_name(f"{head}.{int(count):06d}"))
     log = EventAccumulator(str(folder / "tensorboard"))
     log.Reload()
     tags = [tag for tag in log.Tags()["scalars"] if not tag.startswith("Perf/")]
