@@ -96,8 +96,8 @@ def holder_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
             turn = unrotate(s.pose[row, i], cross(point - s.accel[row, i], off)) * (one / total)
             if m.kind[e, i] != SPHERICAL:
                 turn = type(turn)(turn.x, o, o)
-            asked = turn * m.stiffness[e, i]
             spring = m.stiffness[e, i]
+            asked = turn * spring
             spring = where_neg(o - spring, spring, one)  # a joint without a spring has nothing to hold
             turn = (asked - hold(e, i, m, fx, asked, mark)) * (one / spring)
             q = x.coordinate[e, i]

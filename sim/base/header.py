@@ -42,8 +42,9 @@ def keep_header() -> None:
     own = _own_folder()
     if own is None:
         return
+    folder = _kept_folder()
     for made in own.glob(f"*{_SUFFIX}"):
-        kept = _kept_folder() / made.name
+        kept = folder / made.name
         if not kept.exists() or kept.stat().st_size != made.stat().st_size:  # one that Warp refused was made anew
             _copy(made, kept)
 
