@@ -8,6 +8,9 @@ DEMO := out/demo
 PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
+# Every command would compile bough's own files again where the shell forbids Python to keep what it compiled.
+export PYTHONDONTWRITEBYTECODE :=
+
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test test-all lint format bench tables pages docs clean
 

@@ -68,6 +68,10 @@ def _hold(t: Array) -> Array:
     return np.clip(t / 0.1, 0.0, 1.0)
 
 
+def _back(t: Array) -> Array:
+    return np.interp(t, [0.0, 0.12, 0.36, 0.48], [0.0, 1.0, -1.0, -1.0])
+
+
 def _triangle(t: Array) -> Array:
     return np.interp(t, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
 
@@ -84,6 +88,9 @@ _ACROSS: dict[str, tuple[str, tuple[float, float, Course, float]]] = {
         "push {} with a third of the force, hold, release, and record the free swing", (1 / 3, 1.0, _hold, 0.5),
     ),
     "full_swing": ("push {} with all of the force, hold, release, and record the free swing", (1.0, 1.0, _hold, 0.5)),
+    "back_swing": (
+        "push {} with all of the force both ways, release, and record the free swing", (1.0, 1.0, _back, 0.5),
+    ),
     "long_hold": ("push {} and hold for three times as long", (1.0, 3.0, _hold, 1.0)),
     "triangle": ("a slow triangle of force {}, both ways", (1.0, 3.0, _triangle, 1.0)),
     "sweep": ("a sweep of frequencies {} with a third of the force", (1 / 3, 1.0, _sweep, 1.0)),

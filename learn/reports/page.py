@@ -34,6 +34,13 @@ class KeyNumber:
     unit: str
     explanation: str
 
+    @property
+    def shown(self) -> str:
+        """The number with its unit; a dash where there is none (NaN)."""
+        if isinstance(self.value, float) and math.isnan(self.value):
+            return "-"
+        return f"{number(self.value)} {self.unit}".strip()
+
 
 @dataclass(frozen=True)
 class ParameterRow:

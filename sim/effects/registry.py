@@ -203,8 +203,8 @@ def register(effect: Effect) -> Effect:
     """Add an effect to those that every command knows and return it.
 
     Raises:
-        InputError: Another effect has its name, the name is not one lower-case word, or it has no law, no parameter,
-            more than six, or two of one name.
+        InputError: Another effect has its name, the name is not one lower-case word, or it has no law, or one that
+            cannot be.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", effect.name):
         raise InputError("effects", effect.name, "the name", "lower-case letters, digits and _")
@@ -214,13 +214,21 @@ def register(effect: Effect) -> Effect:
     if not laws:
         raise InputError("effects", effect.name, "no law", "a law for branches, for joints or for both")
     for law in laws:
-        names = [p.name for p in law.parameters]
-        if not 1 <= len(set(names)) == len(names) <= PARAMETERS:
-            raise InputError("effects", effect.name, f"parameters {names}", f"1 to {PARAMETERS} of different names")
-        if (law.law is None) == (law.kind in ("joint", "link", "force")):
-            raise InputError("effects", effect.name, f"kind {law.kind} and law {law.law}", "a law with its kind")
+        _check(law, effect.name)
     _ROWS[effect.name] = effect
     return effect
+
+
+def _check(law: Law, name: str) -> None:
+    """Raise `InputError` for a law with too few or too many parameters, without a function, or that holds nothing."""
+    names = [p.name for p in law.parameters]
+    if not 1 <= len(set(names)) == len(names) <= PARAMETERS:
+        raise InputError("effects", name, f"parameters {names}", f"1 to {PARAMETERS} of different names")
+    if (law.law is None) == (law.kind in ("joint", "link", "force")):
+        raise InputError("effects", name, f"kind {law.kind} and law {law.law}", "a law with its kind")
+    if law.holds is not None and (law.kind != "joint" or law.memory == 0):
+        found = f"holds with kind {law.kind} and memory {law.memory}"
+        raise InputError("effects", name, found, "a law at a joint that remembers (memory=1) what it holds")
 
 
 def registered() -> tuple[str, ...]:

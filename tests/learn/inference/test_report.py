@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import math
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,7 +15,15 @@ import numpy as np
 import pytest
 from bough.learn.reports import figures
 from bough.learn.reports.motion import FRAMES, MotionLine, ReportMotion
-from bough.learn.reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, number, write_report
+from bough.learn.reports.page import (
+    KeyNumber,
+    ParameterRow,
+    ReportContent,
+    ReportFigure,
+    ReportTable,
+    number,
+    write_report,
+)
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from oracles.chromium import Chromium
@@ -228,12 +237,18 @@ def test_coverage_figure_shows_both_curves() -> None:
 # ---- in a browser ---------------------------------------------------------------------------------------------------
 
 
+CUT = """[...document.querySelectorAll('table')].filter((t) => t.parentElement.scrollWidth > t.parentElement.clientWidth)
+    .map((t) => t.outerHTML.slice(0, 80))"""
+
+
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory):
     """Return a tab with a report of something in every section, whose motion lasts a minute."""
     folder = tmp_path_factory.mktemp("browser")
     opened = Chromium(folder / "profile", (1400, 900))
-    page = write_report(folder, content(motion=swinging("one", frames=200, seconds=60.0)))
+    columns = tuple(f"force {k} [N]" for k in range(9))
+    wide = ReportTable("Nine columns", columns, [("after the repair", *["12.3 (4.5 to 67.8)"] * 8)] * 2)
+    page = write_report(folder, content(motion=swinging("one", frames=200, seconds=60.0), tables=[wide]))
     opened.open(page.as_uri())
     opened.wait("document.querySelector('canvas')?.dataset.frame !== undefined")
     yield opened
@@ -267,3 +282,18 @@ def test_nothing_sticks_out_and_no_text_is_small(browser: Chromium, width: int) 
         " && parseFloat(getComputedStyle(e).fontSize) < 14).map((e) => e.outerHTML.slice(0, 80))"
     )
     assert browser.value(small) == []
+    assert browser.value(CUT) == []
+
+
+def test_a_wide_table_is_whole_on_paper(browser: Chromium) -> None:
+    """Let cells wrap where the page is printed: a sheet cannot be scrolled (A4 at 96 dots an inch)."""
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    browser.call("Emulation.setDeviceMetricsOverride", width=794, height=1123, deviceScaleFactor=1, mobile=False)
+    assert browser.value("document.documentElement.scrollWidth") <= 794 and browser.value(CUT) == []
+    browser.call("Emulation.setEmulatedMedia", media="screen")
+
+
+def test_a_number_that_there_is_not_is_a_dash() -> None:
+    """Show a number with its unit, and neither for one that there is not."""
+    shown = [KeyNumber("x", value, "%", "").shown for value in (12.34, "about 3", math.nan)]
+    assert shown == ["12.3 %", "about 3 %", "-"]
