@@ -237,7 +237,8 @@ def test_coverage_figure_shows_both_curves() -> None:
 # ---- in a browser ---------------------------------------------------------------------------------------------------
 
 
-CUT = """[...document.querySelectorAll('table')].filter((t) => t.parentElement.scrollWidth > t.parentElement.clientWidth)
+CUT = """[...document.querySelectorAll('table')]
+    .filter((t) => t.parentElement.scrollWidth > t.parentElement.clientWidth)
     .map((t) => t.outerHTML.slice(0, 80))"""
 
 
