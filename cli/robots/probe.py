@@ -44,7 +44,7 @@ class Probe:
         wrist: Of the Jaco 2.
         force: Largest force [N]; above one and a half times of it the gripper opens.
         reach: Largest displacement of the grasp point that is aimed at [m].
-        rate: Sampling rate of the case [Hz], of the service's 60 Hz.
+        rate: Sampling rate of the case [Hz], of the service's 60 Hz; a lower one blurs how a branch is let go.
         samples: Samples of a recording.
         budget: Most recordings.
         width: Go on until the 95 % interval of the first effect's first parameter is narrower than this share to
@@ -65,8 +65,8 @@ class Probe:
     wrist: Wrist = "curved"
     force: float = 10.0
     reach: float = 0.18
-    rate: float = 30.0
-    samples: int = 110
+    rate: float = 60.0
+    samples: int = 219
     budget: int = 12
     width: float | None = None
     pulls: tuple[str, ...] = ()

@@ -46,14 +46,15 @@ class Ways:
     Attributes:
         force: Largest force [N].
         reach: Largest displacement of the grasp point [m].
-        rate: Sampling rate of the case [Hz].
+        rate: Sampling rate of the case [Hz]: that of the ticks. The force of a branch let go of falls within 50 ms;
+            a case of every second tick misses how.
         samples: Samples of a recording.
     """
 
     force: float = 10.0
     reach: float = 0.18
-    rate: float = 30.0
-    samples: int = 110
+    rate: float = 60.0
+    samples: int = 219
 
     @property
     def duration(self) -> float:

@@ -29,7 +29,7 @@ def words_of(served, out, *options):
     """Return a command line of a probing whose diagnosis is quick: two laws, short recordings."""
     return ["probe", "--branch", served.out / "branch.yaml", "--out", out, "--robot", f"http://127.0.0.1:{served.port}",
             "--token-file", served.out.parent / "token", "--effects", "quadratic_drag", "dry_friction",
-            "--max-effects", "1", "--samples", "90", "--budget", "3", *options]  # fmt: skip
+            "--max-effects", "1", "--samples", "180", "--budget", "3", *options]  # fmt: skip
 
 
 def lines(path):

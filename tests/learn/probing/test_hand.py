@@ -13,7 +13,7 @@ from bough.learn.robot.twin_branch import BranchTwin
 from bough.sim.arms.jaco2 import jaco2
 
 ARM = jaco2()
-SHORT = {"samples": 90}  # 3 s
+SHORT = {"samples": 180}  # 3 s
 
 
 @pytest.fixture(scope="module")
