@@ -9,7 +9,7 @@ from bough.learn.probing.rounds import Finding
 
 
 def test_the_pull_that_adds_most_a_recording_narrows(monkeypatch):
-    """By hand: half of a deviation adds three times what was known, 0.4 of it 5.25 times, at the cost of three pulls."""
+    """By hand: half a deviation adds three times what was known, 0.4 of it 5.25 times, at the cost of three pulls."""
     pulls = {"once": SimpleNamespace(pushes=(1,)), "thrice": SimpleNamespace(pushes=(1, 2, 3))}
     for shares, best in (((0.5, 0.4), "once"), ((0.9, 0.4), "thrice")):
         monkeypatch.setattr(rounds, "narrowing", lambda contest, model, probes, own=shares: list(own))
