@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from ..replay.input_noise import Colour
 from .evidence import ALARM, Evidence, bootstrap_test, lacks_fit, retested
 from .geometry import add_nuisances, in_doubt
-from .models.at_rest import Noise, noise_of_repeats
+from .models.at_rest import Noise, noise_of_neighbours, noise_of_repeats
 from .models.contest import Batch
 from .models.fitted import FittedModels, Model
 from .models.levels import LEADERS, better_of, first_level, moved, next_level, reduced, refitted
@@ -126,8 +126,9 @@ def _closed(base: Base, fitted: FittedModels, evidence: Evidence, run: Run) -> E
 def _recoloured(base: Base, fitted: FittedModels) -> FittedModels:
     """Take noise, its response and the nuisances about the best model instead of the base, and refit."""
     best = fitted.of_size(1)[0]
-    base.noise = noise_of_repeats(fitted.contest, best.fit.batch, base.noise)
-    fitted.contest.set_noise(base.noise.sigma)
+    for seen in (noise_of_neighbours, noise_of_repeats):
+        base.noise = seen(fitted.contest, best.fit.batch, base.noise)
+        fitted.contest.set_noise(base.noise.sigma)
     fitted.contest.overdispersion = fitted.overdispersion
     if base.force_sigma is not None:
         colour(fitted.contest, best.fit.batch, base.force_sigma)
