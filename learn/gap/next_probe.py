@@ -91,41 +91,19 @@ def _worth(
     contest: Contest, probe: ArmProbe, model: Model, rival: Model, precision: tuple[torch.Tensor, torch.Tensor]
 ) -> float:  # fmt: skip
     """Return T: the rival's chi-squared against the model's prediction of a probe, minimised over its parameters."""
-    other, batches = _probed(contest, probe, [model, rival])
+    case = contest.case
+    assert isinstance(case, BranchCase)
+    made = recordings_of(case, contest.recordings, probe)
+    other = Contest(case, made, contest.sigma.cpu().numpy(), contest.names, device=contest.device)
+    fits = [m.fit.batch for m in (model, rival)]
+    start = other.start0[None]
+    batches = [Batch(b.free, b.active, start.clone(), b.free.new_ones(1, len(made))) for b in fits]
     other.measured = other.simulate(other.values(batches[0]), batches[0].start)[0].double()  # the data of the rival
     residual, derivative, _ = other.linearise(batches[1])
     missed, j = residual.flatten(), derivative[0, : len(precision[1])].flatten(1)
     right = j @ missed
     adapted = float(right @ torch.linalg.solve(j @ j.T + precision[0], right))
     return max(float(missed @ missed) - adapted, 0.0) / overdispersion(contest, model.chi2)
-
-
-def narrowing(contest: Contest, model: Model, probes: Sequence[ArmProbe]) -> list[float]:
-    """Return what probes of a branch make of the deviation of a model's first effect's first parameter, a share of it.
-
-    c-optimal design (Elfving 1952, Ann. Math. Stat. 23:255): with P the precision of the model's free coordinates given
-    the case and J its Jacobian in the probe, the deviation of the one coordinate after it is that of (P + J J')^-1.
-    """
-    precision, columns = _precision(contest, model)
-    at = columns.tolist().index(contest.candidates[model.members[0]].columns[0])
-    before = torch.linalg.inv(precision)[at, at]
-    out = []
-    for probe in probes:
-        other, (batch,) = _probed(contest, probe, [model])
-        j = other.linearise(batch)[1][0, : len(columns)].flatten(1)
-        after = torch.linalg.inv(precision + j @ j.T / overdispersion(contest, model.chi2))[at, at]
-        out.append(float((after / before).sqrt()))
-    return out
-
-
-def _probed(contest: Contest, probe: ArmProbe, models: Sequence[Model]) -> tuple[Contest, list[Batch]]:
-    """Return the contest of a probe, and models of the case at its start."""
-    case = contest.case
-    assert isinstance(case, BranchCase)
-    made = recordings_of(case, contest.recordings, probe)
-    other = Contest(case, made, contest.sigma.cpu().numpy(), contest.names, device=contest.device)
-    fits, start = [m.fit.batch for m in models], other.start0[None]
-    return other, [Batch(b.free, b.active, start.clone(), b.free.new_ones(1, len(made))) for b in fits]
 
 
 def recordings_of(case: BranchCase, before: Sequence[Recording], probe: ArmProbe) -> list[Recording]:

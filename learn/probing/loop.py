@@ -141,7 +141,8 @@ class Prober:
             name = next((n for n, p in self._pulls.items() if len(p.pushes) <= left), "")
         if left <= 0 or not name:
             return None
-        why = because(last) if last is not None and last.propose else "a first look"
+        proposed = last is not None and last.propose
+        why = f"adds {last.gain:.0f} in twice the log likelihood" if last and proposed else "a first look"
         plan = {"pull": name, "words": self._pulls[name].words, "recordings": len(self._pulls[name].pushes), "why": why}
         self._folder.set_plan(number, plan)
         return plan
@@ -192,20 +193,13 @@ class Prober:
         return Outcome(settled(findings, self._budget.width), done, tuple(findings), case)
 
 
-def because(finding: Finding) -> str:
-    """Return in a few words why a round proposes its pull."""
-    if finding.narrows < 1.0:
-        return f"leaves {100.0 * finding.narrows:.0f} % of the interval"
-    return f"adds {finding.gain:.0f} in twice the log likelihood"
-
-
 def spoken(finding: Finding) -> str:
     """Return what a round found, in a line."""
     if finding.reason:
         return f"nothing to be said yet: {finding.reason}"
     named = " and ".join(finding.effects) if finding.verdict == "effects" else finding.verdict
     rival = " and ".join(finding.rival) or "no effect"
-    return f"{named}, ahead of {rival} by {finding.lead:.0f}; next best: {finding.propose}, {because(finding)}"
+    return f"{named}, ahead of {rival} by {finding.lead:.0f}; next best: {finding.propose} (+{finding.gain:.0f})"
 
 
 def conclude(folder: Folder, outcome: Outcome, settings: Settings, progress: Callable[[str, int], None]) -> Diagnosis:

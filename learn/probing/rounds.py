@@ -1,4 +1,4 @@
-"""One round: what the recordings so far say, and which pull would tell most, or narrow most once the name is clear.
+"""One round: what the recordings so far say, and which pull would tell most.
 
 It is `learn.gap`'s diagnosis up to its decision. The posterior, the repaired model and the report wait for the end.
 """
@@ -15,12 +15,12 @@ from scipy.stats import chi2, ncx2
 
 from ...sim.base.types import Array
 from ..cases.case import BranchCase
-from ..gap.decide import TIED, Decision, decide
+from ..gap.decide import Decision, decide
 from ..gap.diagnosis import Settings
 from ..gap.evidence import ALARM, bootstrap_test
 from ..gap.models.fitted import FittedModels, Model
 from ..gap.models.scan import Basis, all_probes, signatures
-from ..gap.next_probe import best_probe, narrowing
+from ..gap.next_probe import best_probe
 from ..gap.posterior import intervals
 from ..gap.prepare import Base, prepare
 from ..gap.run import Run
@@ -45,8 +45,6 @@ class Finding:
         power: For ``none``, by name, how likely an effect of `MATTERS` would have been seen.
         propose: Name of the pull that tells most next; empty where nothing can be said.
         gain: What it is expected to add to twice the log likelihood ratio against the rival.
-        narrows: What it is expected to make of the width, a share of it, where the rivals are clearly behind already
-            and the pull is the one that makes most of that; 1 where it is the one that tells most.
         reason: Why nothing can be said yet; empty where it can.
     """
 
@@ -61,7 +59,6 @@ class Finding:
     power: dict[str, float] | None = None
     propose: str = ""
     gain: float = 0.0
-    narrows: float = 1.0
     reason: str = ""
 
     def as_json(self) -> dict[str, Any]:
@@ -98,16 +95,13 @@ def _found(
 ) -> Finding:  # fmt: skip
     model, rival = _contenders(fitted, decision)
     nothing = decision.verdict == "none"  # of an effect and the base the base can never look like the effect
-    named, lead = decision.verdict == "effects", fitted.criterion(rival) - fitted.criterion(model)
     propose, gain = _best(fitted, *((rival, model) if nothing else (model, rival)), pulls)
-    narrows = 1.0
-    if named and lead >= TIED:
-        propose, narrows = _narrowest(fitted, model, pulls)
+    named = decision.verdict == "effects"
     return Finding(
         len(case.trajectories), decision.verdict, tuple(a.label for a in decision.named),
-        tuple(a.name for a in decision.named), fitted.labels(rival), lead, p_value,
-        _width(fitted, decision) if named else math.inf, _power(base, fitted) if nothing else None,
-        propose, gain, narrows,
+        tuple(a.name for a in decision.named), fitted.labels(rival), fitted.criterion(rival) - fitted.criterion(model),
+        p_value, _width(fitted, decision) if named else math.inf,
+        _power(base, fitted) if nothing else None, propose, gain,
     )  # fmt: skip
 
 
@@ -131,16 +125,6 @@ def _best(fitted: FittedModels, model: Model, rival: Model, pulls: Mapping[str, 
         worth[name] = 0.0 if found is None else found.evidence / len(pull.pushes)
     best = max(worth, key=lambda name: worth[name], default="")
     return best, worth.get(best, 0.0)
-
-
-def _narrowest(fitted: FittedModels, model: Model, pulls: Mapping[str, ArmProbe]) -> tuple[str, float]:
-    """Return the pull that adds most to what is known of the first effect, per recording that it costs.
-
-    Known is a parameter by the inverse square of its deviation.
-    """
-    shares = dict(zip(pulls, narrowing(fitted.contest, model, list(pulls.values())), strict=True))
-    best = max(pulls, key=lambda name: (shares[name] ** -2 - 1.0) / len(pulls[name].pushes))
-    return best, shares[best]
 
 
 def _width(fitted: FittedModels, decision: Decision) -> float:
