@@ -64,7 +64,7 @@ def test_a_killed_probing_goes_on_and_loses_nothing(served, inside, tmp_path):
     result = json.loads((out / "result.json").read_text())
     assert json.loads(told.out) == result and 2 <= result["recordings"] <= 3
     case = load_case(out / "case")
-    assert len(case.trajectories) == result["recordings"] and all(len(t.t) == 90 for t in case.trajectories)
+    assert len(case.trajectories) == result["recordings"] and all(len(t.t) == 180 for t in case.trajectories)
     assert any(t.no_contact.any() for t in case.trajectories) and case.base_position[2] != 0.0
     verdict = json.loads((out / "diagnosis" / "verdict.json").read_text())
     assert (verdict["verdict"], len(verdict["effects"])) == (result["verdict"], len(result["effects"]))
