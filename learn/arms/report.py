@@ -190,5 +190,5 @@ def _bars(found: ArmDiagnosis) -> Figure:
         ax.set_xticks(at, [found.case.joints[c.joint] for c in mine])
         ax.set_ylabel(f"{kind}: share of its rms")
         ax.axhline(1.0, color=MEASURED, linewidth=0.6)
-    figure.axes[0].legend(ncols=3)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
