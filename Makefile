@@ -25,7 +25,7 @@ $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { echo "bough needs Python 3.10 or later;" \
 		"$(PYTHON) is $$($(PYTHON) -V 2>&1). Name another: make PYTHON=/path/to/python3"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	@$(PIP) install --quiet --upgrade "pip>=24.1"  # the one that Python 3.10 brings searches for versions for hours
+	@$(PIP) install --quiet "pip>=24.1"  # the one that Python 3.10 brings searches for versions for hours
 
 # .venv/name/bough is this folder under the package's name, for the tools that read source without importing it.
 $(VENV)/installed-%: pyproject.toml constraints.txt | $(BIN)/python

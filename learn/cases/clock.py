@@ -180,8 +180,13 @@ def resampled(timed: Timed, rate: float) -> Timed:
     if count < MIN_ROWS:
         raise InputError(columns.path, "", f"{count} samples at resample_hz {rate:g}", f"at least {MIN_ROWS}")
     grid = t[0] + np.arange(count) / rate
-    values = np.stack([np.interp(grid, t, c) for c in timed.values.T], axis=-1)
+    values = interpolated(t, timed.values, grid)
     return replace(timed, t=grid, values=values, rounding=4.0 * float(np.spacing(np.abs(grid).max())), moved=True)
+
+
+def interpolated(t: Array, rows: Array, grid: Array) -> Array:
+    """Return columns [N, C] of times t [N] at the times of a grid [T], linear between the samples, [T, C]."""
+    return np.stack([np.interp(grid, t, c) for c in rows.T], axis=-1)
 
 
 def _gap(timed: Timed, steps: Array, i: int) -> InputError:

@@ -24,7 +24,7 @@ from .run import Run
 ALARM = 0.01
 #: Excess of the base model's reduced chi-squared over one above which an effect is missing even if no candidate
 #: explains it: the noise estimate is never so wrong. That of a branch is mended by what its best model leaves; bases of
-#: twelve branches without an effect, noise of 1 to 5 %, left 0.93 to 1.03 before.
+#: nine branches without an effect, noise of 1 to 5 %, left 0.93 to 1.03 before.
 LACK, LACK_BRANCH = 1.0, 0.4
 #: Bootstrap experiments simulated under the base model.
 NULLS = 48

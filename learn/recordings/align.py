@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import make_lsq_spline
 
 from ...sim.base.types import Array
+from ..cases.clock import interpolated
 
 #: Share of the shorter signal that has to lie on the other one.
 OVERLAP = 0.5
@@ -89,7 +90,7 @@ def force_on_grid(t: Array, rows: Array, grid: Array) -> Array:
     inside = (t >= grid[0]) & (t <= grid[-1])
     counts = np.histogram(t[inside], grid)[0]
     if not len(counts) or counts.min() < 1 or counts.mean() < FINER:
-        return np.stack([np.interp(grid, t, c) for c in rows.T], axis=-1)
+        return interpolated(t, rows, grid)
     knots = np.concatenate([grid[:1], grid, grid[-1:]])
     out: Array = make_lsq_spline(t[inside], rows[inside], knots, k=1).c
     return out

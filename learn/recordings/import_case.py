@@ -13,7 +13,7 @@ from ...sim.base.errors import InputError, shortened
 from ...sim.base.files import check_output
 from ...sim.base.types import Array
 from ..cases.case import BranchCase, JointCase
-from ..cases.clock import GAP
+from ..cases.clock import GAP, interpolated
 from . import plausible
 from .align import clock_offset, force_on_grid
 from .bag import LEAST, Bag, Stream, read_bag
@@ -233,16 +233,15 @@ def _step(parts: Sequence[Timeline], given: Given, ask: Asker) -> float:
     slowest = max(parts, key=lambda p: float(np.median(np.diff(p.t))))
     rate = 1.0 / float(np.median(np.diff(slowest.t)))
     rate = given.resample or (float(round(rate)) if rate >= 2 else rate)
-    ask.notes.append(f"clock: a grid of {rate:g} Hz (--resample; {slowest.stream.name} is the "
-                     "slowest); positions by linear interpolation, a faster force by least squares")  # fmt: skip
+    ask.notes.append(f"clock: a grid of {rate:g} Hz (--resample; {slowest.stream.name} is the slowest); positions by"
+                     " linear interpolation, a faster force by least squares")  # fmt: skip
     return 1.0 / rate
 
 
 def _on_grid(window: Window, step: float) -> tuple[Array, Array]:
     """Return forces and positions on a grid from zero on, shapes [T, 3]."""
     t: Array = np.arange(int(np.floor(window.seconds / step + 1e-9)) + 1) * np.float64(step)
-    motion = np.stack([np.interp(t, window.motion.t, c) for c in window.motion.rows.T], axis=-1)
-    return force_on_grid(window.force.t, window.force.rows, t), motion
+    return force_on_grid(window.force.t, window.force.rows, t), interpolated(window.motion.t, window.motion.rows, t)
 
 
 # ---- zeros, grasp ---------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
 from scipy.signal import welch
 
 from ....sim.base.types import Array
@@ -99,8 +100,8 @@ def noise_of_repeats(contest: Contest, batch: Batch, noise: Noise) -> Noise:
     """
     if not isinstance(contest.case, BranchCase):
         return noise
-    left = contest.measured - contest.simulate(contest.values(batch), batch.start)[0].double()
-    white = contest.whiten(left[None])[0] * contest.sigma  # without the response to noise of the force
+    left, white = _residuals(contest, batch)
+    white = white * contest.sigma  # without the response to noise of the force
     axes = noise.sigma.reshape(2, 3)[0] > 0.0
     moved, kinds = (x.cpu().numpy().reshape(*left.shape[:2], 2, 3)[..., axes] for x in (white, left))
     repeats, rest = _repeats(contest, moved), _quiet(contest, kinds)
@@ -127,8 +128,7 @@ def noise_of_neighbours(contest: Contest, batch: Batch, noise: Noise) -> Noise:
     """
     if not isinstance(contest.case, BranchCase):
         return noise
-    left = contest.measured - contest.simulate(contest.values(batch), batch.start)[0].double()
-    white = contest.whiten(left[None])[0].cpu().numpy()
+    white = _residuals(contest, batch)[1].cpu().numpy()
     axes = noise.sigma.reshape(2, 3) > 0.0
     if float((white**2).sum()) > NEAR * contest.num_samples:
         return noise
@@ -140,6 +140,12 @@ def noise_of_neighbours(contest: Contest, batch: Batch, noise: Noise) -> Noise:
     if seen.max() <= 1.0:
         return noise
     return Noise(noise.sigma * np.repeat(np.maximum(seen, 1.0), 3), noise.spectrum)
+
+
+def _residuals(contest: Contest, batch: Batch) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return measured less simulated channels, and the same whitened, [R, T, C] both."""
+    left = contest.measured - contest.simulate(contest.values(batch), batch.start)[0].double()
+    return left, contest.whiten(left[None])[0]
 
 
 def _trimmed(steps: Array) -> float:
