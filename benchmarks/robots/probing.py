@@ -1,11 +1,14 @@
 """Whether pulls that the diagnosis proposes name a hidden effect sooner than a fixed set of eight pulls.
 
 Every branch is a twin's (`learn.robot.twin_branch`): MuJoCo's with effects hidden by laws of another form than the
-diagnosis's, a Jaco 2 whose guard and gripper pull it, sensors with noise. Both designs pull the same branch with the
-same noise, force limit and length of a recording, stop by the same rule (`learn.probing.settled`) and are diagnosed by
-the same settings after every recording from the second on. The clock is simulated: nothing waits.
+diagnosis's, a Jaco 2 whose guard and gripper pull it, sensors with noise. All designs pull the same branch with the
+same noise, force limit and length of a recording, and are diagnosed by the same settings. Two of them are diagnosed
+after every recording from the second on, and stop by the same rule (`learn.probing.settled`). The clock is simulated:
+nothing waits.
 
-- fixed: ramp, release, triangle, sweep, steps, release across, and the first two again (`learn.probing.menu.FIXED`);
+- whole: ramp, release, triangle, sweep, steps, release across, and the first two again (`learn.probing.menu.FIXED`),
+  then one diagnosis, as of a case that somebody has recorded: eight recordings always;
+- fixed: the same in that order, but diagnosed after each and ended by the rule;
 - proposed: what `learn.gap.next_probe` proposes, of the registry's pulls; one of three pushes costs three recordings.
 
 Counted are recordings until the right name (and no other) stays to the end, and until the rule settles; a wrong name
@@ -51,7 +54,7 @@ class Ended:
     """How a design ended on a branch.
 
     Attributes:
-        design: ``fixed`` or ``proposed``.
+        design: One of `DESIGNS`.
         right: Recordings from which on the right name, alone, stayed; None if it never did.
         settled: Recordings at which the rule settled; None if the budget ended it.
         named: Effects named at the end.
@@ -82,6 +85,16 @@ class FixedProber(Prober):
         return plan
 
 
+class WholeProber(FixedProber):
+    """All eight, then one diagnosis."""
+
+    def _examined(self, number: int, done: int):
+        return super()._examined(number, done) if done == MOST else None
+
+
+DESIGNS: dict[str, type[Prober]] = {"proposed": Prober, "fixed": FixedProber, "whole": WholeProber}
+
+
 def probed(design: str, seed: int, hiding: Hiding, segments: int, settings: Settings, folder: Path) -> Ended:
     """Probe a branch by a design."""
     arm = jaco2()
@@ -90,8 +103,7 @@ def probed(design: str, seed: int, hiding: Hiding, segments: int, settings: Sett
     twin.write_structure(folder / "branch.yaml")
     own = Folder(folder / "out")
     own.begin({}, resume=False)
-    kind = {"fixed": FixedProber, "proposed": Prober}[design]
-    prober = kind(SteppedRobot(twin, default_limits(arm)), arm, read_structure(folder / "branch.yaml"), own,
+    prober = DESIGNS[design](SteppedRobot(twin, default_limits(arm)), arm, read_structure(folder / "branch.yaml"), own,
                   ways=Ways(), budget=Budget(MOST), settings=settings, say=lambda _text: None)  # fmt: skip
     try:
         ended = prober.run().settled is not None
@@ -125,7 +137,7 @@ def measured(options: argparse.Namespace) -> list[Figure]:
     for k in range(count):
         name, seed = names[k % len(names)], int(rng.integers(2**31))
         hiding = Hiding(name, None, float(np.exp(rng.uniform(*np.log(options.sizes)))))
-        for design in ("proposed", "fixed"):
+        for design in options.designs:
             if any((r["branch"], r["design"]) == (k + 1, design) for r in rows):
                 continue
             clock = time.process_time()
@@ -147,26 +159,63 @@ def kept(rows: Path | None) -> list[dict]:
 
 
 def told(rows: list[dict]) -> list[Figure]:
-    """Print both designs side by side and return their figures."""
-    figures = []
-    print("\n| design | right at the end | recordings until right (9: never) | until settled | settled wrongly |")
+    """Print all designs side by side and return their figures."""
+    print("\n| design | right at the end | recordings until right (9: never) | recordings done | settled wrongly |")
     print("|---|---|---|---|---|")
-    counts = {}
-    for design in ("proposed", "fixed"):
-        own = [r for r in rows if r["design"] == design]
-        counts[design] = np.array([r["right"] or MOST + 1 for r in own], float)
-        settled = np.array([r["settled"] or MOST for r in own], float)
-        right = sum(r["correct"] for r in own)
-        wrong = sum(bool(r["settled"] and not r["correct"]) for r in own)
-        print(f"| {design} | {right} of {len(own)} | {counts[design].mean():.2f} | {settled.mean():.2f} | {wrong} |")
-        figures += [Figure(design, "recordings until right", float(counts[design].mean()), "recordings"),
-                    Figure(design, "recordings until settled", float(settled.mean()), "recordings")]  # fmt: skip
-    fewer = counts["fixed"] - counts["proposed"]
-    draws = np.random.default_rng(0).integers(len(fewer), size=(2000, len(fewer)))
-    low, high = np.percentile(fewer[draws].mean(axis=1), (2.5, 97.5))
-    print(f"\nfewer by {fewer.mean():.2f} recordings (95 % {low:.2f} to {high:.2f}) over {len(fewer)} branches;"
-          f" sooner on {(fewer > 0).sum()}, later on {(fewer < 0).sum()}")  # fmt: skip
+    figures = [figure for design in DESIGNS if (own := [r for r in rows if r["design"] == design])
+               for figure in row(design, own)]  # fmt: skip
+    for other in ("fixed", "whole"):
+        pairs = both(rows, other)
+        if not pairs:
+            continue
+        for name, count in (("until right", until), ("done", done)):
+            fewer = np.array([count(b) - count(a) for a, b in pairs])
+            low, high = interval(fewer)
+            print(f"\nproposed beside {other}, recordings {name}: fewer by {fewer.mean():.2f} (95 % {low:.2f} to"
+                  f" {high:.2f}); {(fewer > 0).sum()} branches sooner, {(fewer < 0).sum()} later, of {len(fewer)}")  # fmt: skip
+        ratio = narrower(pairs)
+        if len(ratio):
+            low, high = np.exp(interval(ratio))
+            print(f"where both end right after as many, intervals are {np.exp(ratio.mean()):.2f} times as wide (95 %"
+                  f" {low:.2f} to {high:.2f}, {len(ratio)} branches)")  # fmt: skip
     return figures
+
+
+def row(design: str, own: list[dict]) -> list[Figure]:
+    """Print a design's row and return its figures."""
+    right, wrong = sum(r["correct"] for r in own), sum(bool(r["settled"] and not r["correct"]) for r in own)
+    sooner, spent = float(np.mean([until(r) for r in own])), float(np.mean([done(r) for r in own]))
+    print(f"| {design} | {right} of {len(own)} | {sooner:.2f} | {spent:.2f} | {wrong} |")
+    return [Figure(design, "recordings until right", sooner, "recordings"),
+            Figure(design, "recordings done", spent, "recordings")]  # fmt: skip
+
+
+def until(r: dict) -> int:
+    """Return the recordings from which on the right name stayed, one more than there are if it never did."""
+    return r["right"] or MOST + 1
+
+
+def done(r: dict) -> int:
+    """Return the recordings that were done."""
+    return r["settled"] or MOST
+
+
+def both(rows: list[dict], other: str) -> list[tuple[dict, dict]]:
+    """Return the rows of the proposals and of another design, of branches that both have probed."""
+    own = {(r["branch"], r["design"]): r for r in rows}
+    return [(r, own[k, other]) for (k, d), r in own.items() if d == "proposed" and (k, other) in own]
+
+
+def narrower(pairs: list[tuple[dict, dict]]) -> np.ndarray:
+    """Return log ratios of the widths, proposed over other, of branches that both end right with as many recordings."""
+    sound = [(a, b) for a, b in pairs if a["correct"] and b["correct"] and a["width"] and b["width"]]
+    return np.array([np.log(a["width"] / b["width"]) for a, b in sound if done(a) == done(b)])
+
+
+def interval(values: np.ndarray) -> np.ndarray:
+    """Return the 95 % interval of a mean over branches, by 2000 draws of them."""
+    draws = np.random.default_rng(0).integers(len(values), size=(2000, len(values)))
+    return np.percentile(values[draws].mean(axis=1), (2.5, 97.5))
 
 
 def parser() -> argparse.ArgumentParser:
@@ -176,6 +225,7 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--segments", type=int, default=3)
     out.add_argument("--effects", nargs="*", default=[], help="hidden ones and candidates; all if none is given")
     out.add_argument("--sizes", type=float, nargs=2, default=SIZES, help="range of what a hidden effect changes")
+    out.add_argument("--designs", nargs="*", default=list(DESIGNS), choices=list(DESIGNS))
     out.add_argument(
         "--rows", type=Path, help="file with a line for every branch and design; those in it are not repeated"
     )

@@ -16,7 +16,7 @@ from dataclasses import replace
 from ...sim.effects import effect_of
 from .decide import probe_for
 from .diagnosis import Diagnosis
-from .evidence import ALARM, LACK
+from .evidence import ALARM, lack_of
 
 #: Held-out error over the noise floor from which it is more than noise. Noise of the force and refits to fewer
 #: recordings bring right models above it too: 1.02 to 1.30 in practice cases, 1.05 to 1.16 in the median of an exam.
@@ -81,13 +81,13 @@ def missed(found: Diagnosis) -> float:
 def left_over(found: Diagnosis) -> float:
     """Return what the base model leaves beyond doubt, as a share of the motion: where it was fitted, or held out."""
     excess = found.base_reduced_chi2 - 1.0
-    fitted = math.sqrt(excess) / max(found.motion, 1e-300) if excess > LACK else 0.0
+    fitted = math.sqrt(excess) / max(found.motion, 1e-300) if excess > lack_of(found.case) else 0.0
     return max(fitted, missed(found) if far(found) else 0.0)
 
 
 def significant(found: Diagnosis) -> bool:
     """Return whether something is missing beyond doubt: by the p-value, or by a misfit that no noise makes."""
-    return found.p_null <= ALARM or found.base_reduced_chi2 > 1.0 + LACK
+    return found.p_null <= ALARM or found.base_reduced_chi2 > 1.0 + lack_of(found.case)
 
 
 def shrinks(found: Diagnosis) -> bool:

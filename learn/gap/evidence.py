@@ -10,7 +10,7 @@ from scipy.special import gammaln
 from scipy.stats import chi2
 
 from ...sim.base.types import Array
-from ..cases.case import BranchCase
+from ..cases.case import BranchCase, JointCase
 from ..inference.correlated import Correlation, correlation, drawn_as
 from ..replay.rollout import Rollout
 from .models.contest import Batch, Contest
@@ -58,14 +58,18 @@ def bootstrap_test(base: Base, run: Run, seen: Correlation | None = None) -> Evi
 
 
 def lacks_fit(fitted: FittedModels, least: float) -> bool:
-    """Return whether the base's reduced chi-squared exceeds 1 + `LACK` and its excess rms exceeds ``least``.
-
-    Of branches it is `LACK_BRANCH`: what a missing effect leaves is as correlated as noise with a memory, beside which
-    its gain is not rare.
-    """
+    """Return whether the base's reduced chi-squared exceeds 1 + `lack_of` and its excess rms exceeds ``least``."""
     excess = fitted.reduced_chi2(fitted.base) - 1.0
-    lack = LACK_BRANCH if isinstance(fitted.contest.case, BranchCase) else LACK
-    return excess > lack and float(np.sqrt(excess)) > least
+    return excess > lack_of(fitted.contest.case) and float(np.sqrt(excess)) > least
+
+
+def lack_of(case: BranchCase | JointCase) -> float:
+    """Return the excess of a base's reduced chi-squared over one that no noise makes.
+
+    Of branches it is less: what a missing effect leaves is as correlated as noise with a memory, beside which its gain
+    is not rare.
+    """
+    return LACK_BRANCH if isinstance(case, BranchCase) else LACK
 
 
 def retested(base: Base, model: Model, evidence: Evidence, run: Run) -> Evidence:

@@ -118,7 +118,7 @@ def recordings_of(case: BranchCase, before: Sequence[Recording], probe: ArmProbe
         share = t / max(t[-1], case.dt)
         held = share < push.free_from
         force = push.size * largest * np.where(held, push.course(share), 0.0)
-        out.append(replace(before[0], t=t, input=force[:, None] * axes[push.axis], output=np.zeros((len(t), 6)),
+        out.append(replace(before[0], t=t, input=force[:, None] * push.direction(axes), output=np.zeros((len(t), 6)),
                            contact=held, t_start=begin, sensed=None))  # fmt: skip
         begin += 2.0 * float(t[-1])
     return out

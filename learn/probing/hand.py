@@ -171,7 +171,7 @@ class Hand:
 
     def _course(self, push: Push, raw: RawRecording) -> None:
         begin, duration = self._robot.latest.time, self._ways.duration
-        axis, size = self._branch.axes[push.axis], min(push.size, 1.0) * self.largest
+        axis, size = push.direction(self._branch.axes), min(push.size, 1.0) * self.largest
         let_go = push.free_from if self.releases else 1.0
 
         def course(time: float) -> float:

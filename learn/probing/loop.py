@@ -16,7 +16,7 @@ from ..replay.probes import ArmProbe, Push
 from ..robot.client import RobotClient
 from .folder import Folder
 from .hand import ForceError, Hand, Ways
-from .menu import first, menu
+from .menu import first, left, menu
 from .rounds import Finding, examine
 from .settled import settled
 from .structure import Structure, within_reach
@@ -178,7 +178,8 @@ class Prober:
         finding = self._folder.finding(number)
         if finding is None:
             case = self._folder.make_case(self._structure, self._ways, number)
-            finding = examine(case, self._settings, self._pulls)
+            done_so_far = {str(plan["pull"]) for k in range(1, number + 1) if (plan := self._folder.plan(k))}
+            finding = examine(case, self._settings, left(self._pulls, done_so_far))
             self._folder.set_finding(number, finding)
         self._say(f"{done} recordings: {spoken(finding)}")
         return settled(self._upto(number), self._budget.width)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +11,11 @@ from ...sim.base.errors import InputError
 from ..replay.probes import PROBES, ArmProbe, Push
 
 #: The first pulls, before anything is known: slow there and back, which rubs and yields, and let go, which swings.
-#: Those that tell laws best as they are written did worse on branches whose laws have other forms.
-FIRST = ("ramp_down", "release_up")
+#: Those that tell laws best as they are written did worse on branches whose laws have other forms. Both between the
+#: branch's plane and across it, one to either side: what differs from plane to plane is seen by two pulls.
+FIRST = ("ramp_diagonal", "release_diagonal")
 #: The same for an arm that cannot let go.
-FIRST_HELD = ("ramp_down", "triangle_across")
+FIRST_HELD = ("ramp_diagonal", "triangle_diagonal")
 
 
 def menu(releases: bool, only: tuple[str, ...] = ()) -> dict[str, ArmProbe]:
@@ -27,9 +28,8 @@ def menu(releases: bool, only: tuple[str, ...] = ()) -> dict[str, ArmProbe]:
     Raises:
         InputError: A name that no probe has, or that this arm cannot do.
     """
-    own = dict(zip(FIRST, FIXED, strict=False))
     known = {name: replace(p, pushes=tuple(replace(q, length=1.0) for q in p.pushes))
-             for name, p in (PROBES.everything() | own).items()
+             for name, p in (PROBES.everything() | _own()).items()
              if releases or all(q.free_from >= 1.0 for q in p.pushes)}  # fmt: skip
     for name in only:
         if name not in known:
@@ -41,6 +41,15 @@ def first(pulls: Mapping[str, ArmProbe], done: int, releases: bool) -> str:
     """Return the name of the pull to do while too little is known to propose one."""
     order = [n for n in (FIRST if releases else FIRST_HELD) if n in pulls] + list(pulls)
     return order[done % len(order)]
+
+
+def left(pulls: Mapping[str, ArmProbe], done: Collection[str]) -> dict[str, ArmProbe]:
+    """Return the pulls to choose from: those not done yet, all once all are done.
+
+    Of two models the same pull tells most again and again. Where neither has the form of what is hidden that pull adds
+    nothing, and another does.
+    """
+    return {name: pull for name, pull in pulls.items() if name not in done} or dict(pulls)
 
 
 def _ramp(t: np.ndarray) -> np.ndarray:
@@ -72,6 +81,17 @@ def _sweep(t: np.ndarray) -> np.ndarray:
 def _steps(t: np.ndarray) -> np.ndarray:
     knots = [0.05, 0.2, 0.24, 0.38, 0.42, 0.56, 0.63, 0.73, 0.83, 0.9, 0.94]
     return np.interp(t, knots, [0.0, 0.35, 0.35, 0.7, 0.7, 1.0, 1.0, -0.4, -0.4, 0.0, 0.0])
+
+
+def _own() -> dict[str, ArmProbe]:
+    """Return pulls beside the registry's: slow ones and steps of the fixed set, and some between both planes."""
+    turned = {
+        "ramp_diagonal": ("a ramp between both planes, held, and back", Push((-1.0, 1.0, 0.0), 1.0, 1.0, _ramp)),
+        "release_diagonal": ("a pull between both planes, let go", Push((1.0, 1.0, 0.0), 1.0, 1.0, _pull, 0.35)),
+        "triangle_diagonal": ("a triangle between both planes, both ways", Push((1.0, 1.0, 0.0), 1.0, 1.0, _both)),
+    }
+    straight = dict(zip(("ramp_down", "release_up", "steps_in"), (FIXED[0], FIXED[1], FIXED[4]), strict=True))
+    return straight | {name: ArmProbe(words, (push,)) for name, (words, push) in turned.items()}
 
 
 def _fixed() -> tuple[ArmProbe, ...]:

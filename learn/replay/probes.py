@@ -17,21 +17,29 @@ Course = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Push:
-    """One push: along which axis of the held segment (0, 1 across it, 2 along it), how hard, how long, and its course.
+    """One push: in which direction at the held segment, how hard, how long, and its course.
 
     Attributes:
-        axis: Direction.
+        axis: Direction: 0 across the segment in its own plane, 1 across that plane, 2 along it; or three numbers of
+            any length, parts along these.
         size: Largest force over the case's largest.
         length: Duration over the case's longest recording.
         course: Force over its largest at a time over the duration, in [-1, 1].
         free_from: Share of the duration after which the gripper is open.
     """
 
-    axis: int
+    axis: int | tuple[float, float, float]
     size: float
     length: float
     course: Course
     free_from: float = 1.0
+
+    def direction(self, axes: Array) -> Array:
+        """Return the unit vector, shape [3], of this push, of the three ``axes`` [3, 3] at the held segment."""
+        if isinstance(self.axis, tuple):
+            along = np.asarray(self.axis) @ axes
+            return np.asarray(along / np.linalg.norm(along))
+        return np.asarray(axes[self.axis])
 
 
 @dataclass(frozen=True)
@@ -51,12 +59,19 @@ class ArmProbe:
             raise InputError("probe", "", "no words" if not self.words else "no push", "words and one push or more")
         for push in self.pushes:
             force = np.asarray(push.course(np.linspace(0.0, 1.0, 101)), dtype=np.float64)
-            _need(push.axis in (0, 1, 2), "axis", push.axis, "0, 1 or 2")
+            _need(_points(push.axis), "axis", push.axis, "0, 1, 2, or a tuple of three numbers that are not all 0")
             _need(0.0 <= push.size < np.inf, "size", push.size, "0 or more")
             _need(0.0 < push.length < np.inf, "length", push.length, "above 0")
             _need(force.shape == (101,), "course", force.shape, "a number for each of 101 times")
             _need(bool((np.abs(force) <= 1.0).all()), "course", force[~(np.abs(force) <= 1.0)][:1], "-1 to 1")
         return self
+
+
+def _points(axis: object) -> bool:
+    if not isinstance(axis, tuple):
+        return axis in (0, 1, 2)
+    numbers = len(axis) == 3 and all(isinstance(x, (int, float)) for x in axis)
+    return numbers and bool(np.isfinite(axis).all()) and any(axis)
 
 
 def _need(fine: bool, place: str, found: object, allowed: str) -> None:
