@@ -49,7 +49,7 @@ from bough.learn.reports.figures import ALARM, FAINT, MODEL, NOISE, png
 from bough.learn.runs.threads import one_thread
 from bough.learn.systems.branch import BranchSystem
 from bough.learn.systems.system import free_of
-from bough.sim.base.host import describe, num_threads
+from bough.sim.base.host import describe, num_cores
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from measuring import Figure
@@ -241,7 +241,7 @@ def results(units: list[Unit], jobs: int) -> Iterator[Unit]:
     context = multiprocessing.get_context("spawn")
     cores = context.SimpleQueue()
     for k in range(jobs):
-        cores.put(k % num_threads())
+        cores.put(k % num_cores())
     with context.Pool(jobs, _own_core, (cores,)) as pool:
         yield from pool.imap_unordered(carry_out, units)
 

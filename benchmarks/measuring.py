@@ -183,7 +183,7 @@ def machine() -> dict[str, Any]:
 
     look = host.describe()
     gpus = [d.name for d in wp.get_cuda_devices()]
-    return {"cpu": look["cpu"], "cores": host.num_threads(), "lanes": host.simd_width(),
+    return {"cpu": look["cpu"], "cores": host.num_cores(), "lanes": host.simd_width(),
             "gpu": ", ".join(gpus) or None, "system": look["system"]}  # fmt: skip
 
 

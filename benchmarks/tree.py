@@ -234,7 +234,7 @@ def table(
 
 def thread_figures(trees: list[Tree], options: argparse.Namespace) -> list[Figure]:
     """Measure two threads against one by wall clock; nothing where there is one core."""
-    if host.num_threads() < 2:
+    if host.num_cores() < 2:
         print("\nOne core: two threads are not measured.")
         return []
     rng = np.random.default_rng(options.seed)

@@ -172,7 +172,7 @@ def told(rows: list[dict]) -> list[Figure]:
             fewer = np.array([count(b) - count(a) for a, b in pairs])
             low, high = interval(fewer)
             print(f"\nproposed beside {other}, recordings {name}: fewer by {fewer.mean():.2f} (95 % {low:.2f} to"
-                  f" {high:.2f}); {(fewer > 0).sum()} branches sooner, {(fewer < 0).sum()} later, of {len(fewer)}")  # fmt: skip
+                  f" {high:.2f}), {(fewer > 0).sum()} branches sooner, {(fewer < 0).sum()} later")  # fmt: skip
         ratio = narrower(pairs)
         if len(ratio):
             low, high = np.exp(interval(ratio))

@@ -44,7 +44,8 @@ class Colour:
     """How noise of the input correlates the outputs, for R recordings.
 
     Attributes:
-        basis: Orthonormal columns U, shape [R, T C, M].
+        basis: Orthonormal columns U, shape [R, T C, M], in the precision of the simulation, which is single: products
+            with it are most of the work of a diagnosis of long recordings.
         gain: Squared singular values S^2, shape [R, M].
         power: tr((D^2 + B B^T)^-1 B' B'^T) / 2 for the responses B' at other parameters, shape [S].
     """
@@ -64,7 +65,7 @@ class Colour:
         flat = z.flatten(-2).movedim(-2, 0)
         rows = flat.flatten(1, -2)
         shrink = 1.0 - (1.0 + share[:, None] * self.gain[:, None]).rsqrt()
-        inside = (rows @ self.basis).unflatten(1, (len(share), -1)) * shrink[:, :, None]
+        inside = (rows.to(self.basis) @ self.basis).unflatten(1, (len(share), -1)) * shrink.to(self.basis)[:, :, None]
         rows = rows - inside.flatten(1, 2) @ self.basis.transpose(1, 2)
         return rows.reshape(flat.shape).movedim(0, -2).unflatten(-1, z.shape[-2:])
 
@@ -74,7 +75,7 @@ class Colour:
 
     def variance(self, shape: tuple[int, int]) -> torch.Tensor:
         """Return the variance of the outputs by noise of the input, relative to the channels' noise, [R, T, C]."""
-        return ((self.basis**2) @ self.gain[..., None])[..., 0].unflatten(-1, shape)
+        return ((self.basis.double() ** 2) @ self.gain[..., None])[..., 0].unflatten(-1, shape)
 
 
 def input_colour(
@@ -177,5 +178,5 @@ def _power(basis: torch.Tensor, gain: torch.Tensor, scaled: torch.Tensor) -> tor
 def _stacked(parts: list[tuple[torch.Tensor, torch.Tensor]], power: torch.Tensor) -> Colour:
     most = max(1, *(len(g) for _, g in parts))
     pad = torch.nn.functional.pad
-    bases = torch.stack([pad(b, (0, most - b.shape[1])) for b, _ in parts])
+    bases = torch.stack([pad(b, (0, most - b.shape[1])) for b, _ in parts]).float()
     return Colour(bases, torch.stack([pad(g, (0, most - len(g))) for _, g in parts]), power)

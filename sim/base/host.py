@@ -37,9 +37,18 @@ def lane_width(device: Any, precision: int, num_worlds: int) -> int:
     return 8 if num_worlds <= 8 else simd_width()
 
 
-def num_threads() -> int:
+def num_cores() -> int:
     """Return the CPU cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def num_threads() -> int:
+    """Return over how many threads work is split: the cores, or fewer where ``OMP_NUM_THREADS`` says so.
+
+    That variable is how a user, ``torchrun`` or a scheduler shares cores among processes; its first number counts.
+    """
+    told = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
+    return min(num_cores(), int(told)) if told.isdecimal() and int(told) > 0 else num_cores()
 
 
 def memory_bytes() -> int:
@@ -65,4 +74,4 @@ def describe() -> dict[str, str]:
     if cpuinfo.exists():
         models = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
         name = models[0] if models else name
-    return {"cpu": name, "cores": str(num_threads()), "lanes": str(simd_width()), "system": platform.platform()}
+    return {"cpu": name, "cores": str(num_cores()), "lanes": str(simd_width()), "system": platform.platform()}

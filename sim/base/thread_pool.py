@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.lanes.thread_pool import DONE, JOB, POSTED, WORDS, follow, lead
-from .host import num_threads
+from .host import num_cores
 
 #: How long a thread looks for its next launches before it sleeps, and the caller for the others' end [s]. To wake a
 #: thread takes about as long, so that waiting costs at most twice what the better of both choices would.
@@ -122,7 +122,7 @@ def run(jobs: Sequence[Job]) -> None:
 @lru_cache(maxsize=1)
 def _pool(_process: int) -> _Pool:
     """Return the pool of a process: threads do not live on in a forked one."""
-    return _Pool(num_threads() - 1)
+    return _Pool(num_cores() - 1)
 
 
 class _Pool:

@@ -63,7 +63,7 @@ def test_whitened_draws_are_white(noisy):
     rng = torch.Generator().manual_seed(0)
     residual = response + torch.randn(response.shape, generator=rng, dtype=torch.float64)
     white, raw = colour.whiten(residual[:, None], torch.ones(len(residual))).flatten(1), residual.flatten(1)
-    basis, strong = colour.basis[0], colour.gain[0] > 1.0
+    basis, strong = colour.basis[0].double(), colour.gain[0] > 1.0
     assert int(strong.sum()) >= 5 and colour.gain.max() > 100.0
     assert ((raw @ basis)[:, strong].var(0) > 1.7).all()
     along = (white @ basis)[:, strong].var(0)
