@@ -79,6 +79,36 @@ def best_probe(
     return max(worths, key=lambda w: w.evidence)
 
 
+def narrowed(contest: Contest, model: Model, probe: ArmProbe) -> float:
+    """Return what a probe leaves of the standard deviation of a branch's first effect's first parameter, as a share.
+
+    By the linearised covariance, given the case and given the probe as well, which the model itself is taken to answer
+    (c-optimal design, Elfving 1952, Ann. Math. Stat. 23:255).
+    """
+    case = contest.case
+    assert isinstance(case, BranchCase)
+    precision, columns = _precision(contest, model)
+    at = int(torch.nonzero(columns == contest.candidates[model.members[0]].columns[0])[0, 0])
+    other, (batch,) = _asked(contest, case, probe, [model])
+    j = other.linearise(batch)[1][0, : len(columns)].flatten(1)
+    after = precision + j @ j.T / overdispersion(contest, model.chi2)
+    before, left = (float(torch.linalg.pinv(p, hermitian=True)[at, at]) for p in (precision, after))
+    return float(np.sqrt(left / before))
+
+
+def _asked(
+    contest: Contest, case: BranchCase, probe: ArmProbe, models: Sequence[Model]
+) -> tuple[Contest, list[Batch]]:  # fmt: skip
+    """Return a contest on a probe, with what the first of some models answers for its data, and the models there."""
+    made = recordings_of(case, contest.recordings, probe)
+    other = Contest(case, made, contest.sigma.cpu().numpy(), contest.names, device=contest.device)
+    start = other.start0[None]
+    fits = [m.fit.batch for m in models]
+    batches = [Batch(b.free, b.active, start.clone(), b.free.new_ones(1, len(made))) for b in fits]
+    other.measured = other.simulate(other.values(batches[0]), batches[0].start)[0].double()
+    return other, batches
+
+
 def _precision(contest: Contest, model: Model) -> tuple[torch.Tensor, torch.Tensor]:
     """Precision [q, q] of a model's free coordinates given the case, marginal of nuisance, and their indices [q]."""
     residual, derivative, columns = contest.linearise(model.fit.batch)
@@ -93,12 +123,7 @@ def _worth(
     """Return T: the rival's chi-squared against the model's prediction of a probe, minimised over its parameters."""
     case = contest.case
     assert isinstance(case, BranchCase)
-    made = recordings_of(case, contest.recordings, probe)
-    other = Contest(case, made, contest.sigma.cpu().numpy(), contest.names, device=contest.device)
-    fits = [m.fit.batch for m in (model, rival)]
-    start = other.start0[None]
-    batches = [Batch(b.free, b.active, start.clone(), b.free.new_ones(1, len(made))) for b in fits]
-    other.measured = other.simulate(other.values(batches[0]), batches[0].start)[0].double()  # the data of the rival
+    other, batches = _asked(contest, case, probe, [model, rival])
     residual, derivative, _ = other.linearise(batches[1])
     missed, j = residual.flatten(), derivative[0, : len(precision[1])].flatten(1)
     right = j @ missed

@@ -142,7 +142,7 @@ class Prober:
         if left <= 0 or not name:
             return None
         proposed = last is not None and last.propose
-        why = f"adds {last.gain:.0f} in twice the log likelihood" if last and proposed else "a first look"
+        why = _reason(last) if last and proposed else "a first look"
         plan = {"pull": name, "words": self._pulls[name].words, "recordings": len(self._pulls[name].pushes), "why": why}
         self._folder.set_plan(number, plan)
         return plan
@@ -192,6 +192,11 @@ class Prober:
         findings = self._upto(number)
         case = self._folder.make_case(self._structure, self._ways, number)
         return Outcome(settled(findings, self._budget.width), done, tuple(findings), case)
+
+
+def _reason(finding: Finding) -> str:
+    """Return why a finding proposes its pull."""
+    return f"adds {finding.gain:.0f} in twice the log likelihood" if finding.gain else "a plain pull, to confirm"
 
 
 def spoken(finding: Finding) -> str:

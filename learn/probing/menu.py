@@ -11,11 +11,14 @@ from ...sim.base.errors import InputError
 from ..replay.probes import PROBES, ArmProbe, Push
 
 #: The first pulls, before anything is known: slow there and back, which rubs and yields, and let go, which swings.
-#: Those that tell laws best as they are written did worse on branches whose laws have other forms. Both between the
-#: branch's plane and across it, one to either side: what differs from plane to plane is seen by two pulls.
-FIRST = ("ramp_diagonal", "release_diagonal")
+#: Those that tell laws best as they are written did worse on branches whose laws have other forms, and so did the same
+#: two between the branch's plane and across it.
+FIRST = ("ramp_down", "release_up")
 #: The same for an arm that cannot let go.
-FIRST_HELD = ("ramp_diagonal", "triangle_diagonal")
+FIRST_HELD = ("ramp_down", "triangle_across")
+#: Pulls that confirm a name which leads: slow ones and plain releases in both planes. Those that tell two laws apart
+#: best are where their forms show most, and where what is hidden has the form of neither.
+PLAIN = ("triangle_in", "triangle_across", "steps_in", "ramp_diagonal", "release_across")
 
 
 def menu(releases: bool, only: tuple[str, ...] = ()) -> dict[str, ArmProbe]:
@@ -90,7 +93,8 @@ def _own() -> dict[str, ArmProbe]:
         "release_diagonal": ("a pull between both planes, let go", Push((1.0, 1.0, 0.0), 1.0, 1.0, _pull, 0.35)),
         "triangle_diagonal": ("a triangle between both planes, both ways", Push((1.0, 1.0, 0.0), 1.0, 1.0, _both)),
     }
-    straight = dict(zip(("ramp_down", "release_up", "steps_in"), (FIXED[0], FIXED[1], FIXED[4]), strict=True))
+    names = ("ramp_down", "release_up", "steps_in", "release_across")
+    straight = dict(zip(names, (FIXED[0], FIXED[1], FIXED[4], FIXED[5]), strict=True))
     return straight | {name: ArmProbe(words, (push,)) for name, (words, push) in turned.items()}
 
 

@@ -15,18 +15,19 @@ from scipy.stats import chi2, ncx2
 
 from ...sim.base.types import Array
 from ..cases.case import BranchCase
-from ..gap.decide import Decision, decide
+from ..gap.decide import TIED, Decision, decide
 from ..gap.diagnosis import Settings
 from ..gap.evidence import ALARM, bootstrap_test
 from ..gap.models.fitted import FittedModels, Model
 from ..gap.models.scan import Basis, all_probes, signatures
-from ..gap.next_probe import best_probe
+from ..gap.next_probe import best_probe, narrowed
 from ..gap.posterior import intervals
 from ..gap.prepare import Base, prepare
 from ..gap.run import Run
 from ..gap.search import search
 from ..replay.probes import ArmProbe
 from ..runs.threads import one_thread
+from .menu import PLAIN
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,9 @@ class Finding:
         p_null: Family-wise p-value of the best candidate under the base model.
         width: Half of the 95 % interval of the first effect's first parameter over its value; infinite without one.
         power: For ``none``, by name, how likely an effect of `MATTERS` would have been seen.
-        propose: Name of the pull that tells most next; empty where nothing can be said.
-        gain: What it is expected to add to twice the log likelihood ratio against the rival.
+        propose: Name of the next pull; empty where nothing can be said. A name that leads by `CLEAR` is confirmed by a
+            plain pull, the one that narrows its interval most; else it is what tells the contenders apart best.
+        gain: What it is expected to add to twice the log likelihood ratio against the rival; 0 of a plain one.
         reason: Why nothing can be said yet; empty where it can.
     """
 
@@ -73,6 +75,8 @@ class Finding:
         return Finding(**{**data, **lists, "width": math.inf if data["width"] is None else data["width"]})
 
 
+CLEAR = TIED
+"""Lead in the information criterion from which a name stands apart from all others."""
 MATTERS = 0.05
 """Change of the motion, as a share of its rms, by an effect that must not stay unseen: the least of an exam."""
 
@@ -94,15 +98,26 @@ def _found(
     pulls: Mapping[str, ArmProbe],
 ) -> Finding:  # fmt: skip
     model, rival = _contenders(fitted, decision)
-    nothing = decision.verdict == "none"  # of an effect and the base the base can never look like the effect
-    propose, gain = _best(fitted, *((rival, model) if nothing else (model, rival)), pulls)
-    named = decision.verdict == "effects"
+    nothing, named = decision.verdict == "none", decision.verdict == "effects"
+    lead = fitted.criterion(rival) - fitted.criterion(model)
+    propose, gain = _next(fitted, decision.verdict, model, rival, lead, pulls)
     return Finding(
         len(case.trajectories), decision.verdict, tuple(a.label for a in decision.named),
-        tuple(a.name for a in decision.named), fitted.labels(rival), fitted.criterion(rival) - fitted.criterion(model),
-        p_value, _width(fitted, decision) if named else math.inf,
-        _power(base, fitted) if nothing else None, propose, gain,
+        tuple(a.name for a in decision.named), fitted.labels(rival), lead, p_value,
+        _width(fitted, decision) if named else math.inf, _power(base, fitted) if nothing else None, propose, gain,
     )  # fmt: skip
+
+
+def _next(
+    fitted: FittedModels, verdict: str, model: Model, rival: Model, lead: float, pulls: Mapping[str, ArmProbe]
+) -> tuple[str, float]:  # fmt: skip
+    """Return the next pull, and what it is expected to add to twice the log likelihood ratio; see `Finding`."""
+    plain = {name: pulls[name] for name in PLAIN if name in pulls}
+    if verdict == "effects" and lead >= CLEAR and plain:
+        return min(plain, key=lambda name: narrowed(fitted.contest, model, plain[name])), 0.0
+    # of an effect and the base the base can never look like the effect
+    pair = (rival, model) if verdict == "none" else (model, rival)
+    return _best(fitted, *pair, pulls)
 
 
 def _contenders(fitted: FittedModels, decision: Decision) -> tuple[Model, Model]:

@@ -17,11 +17,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..gap.decide import TIED
 from ..gap.next_probe import ENOUGH
-from .rounds import MATTERS, Finding
+from .rounds import CLEAR, MATTERS, Finding
 
-CLEAR = TIED
 POWER = 0.9
 
 

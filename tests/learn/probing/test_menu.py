@@ -13,25 +13,25 @@ def test_an_arm_that_cannot_let_go_swings_nothing():
     """Leave out pulls that let go; what is left holds to the end, and the first ones are among it."""
     held = menu(releases=False)
     assert all(push.free_from >= 1.0 for pull in held.values() for push in pull.pushes)
-    assert {first(held, k, releases=False) for k in range(2)} == {"ramp_diagonal", "triangle_diagonal"}
+    assert {first(held, k, releases=False) for k in range(2)} == {"ramp_down", "triangle_across"}
 
 
 def test_first_pulls_are_slow_and_let_go():
-    """Pull there and back within the recording, then let go where it is bent most, at 0.35 of it; by hand."""
+    """Pull down and back within the recording, then up and let go where it is bent most, at 0.35 of it; by hand."""
     pulls = menu(releases=True)
     (ramp,), (release,) = (pulls[first(pulls, k, releases=True)].pushes for k in range(2))
     force = ramp.course(SHARE)
-    assert (force.min(), force.max(), force[0], force[-1]) == (0.0, 1.0, 0.0, 0.0) and ramp.free_from == 1.0
-    assert np.ptp(SHARE[force > 0.5]) == pytest.approx(0.525, abs=0.003)  # from 0.15 to 0.675
+    assert (force.min(), force.max(), force[0], force[-1]) == (-1.0, 0.0, 0.0, 0.0) and ramp.free_from == 1.0
+    assert np.ptp(SHARE[force < -0.5]) == pytest.approx(0.525, abs=0.003)  # from 0.15 to 0.675
     held = release.course(SHARE[release.free_from > SHARE])
     assert release.free_from == 0.35 and held[-1] == held.max() == 1.0
 
 
-def test_first_pulls_lie_between_the_planes_one_to_either_side():
-    """Push at 45 degrees to both axes across the segment, at right angles to each other and to the segment."""
+def test_diagonal_pulls_lie_between_the_planes():
+    """Push at 45 degrees to both axes across the segment, to either side, and at right angles to the segment."""
     axes = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
     pulls = menu(releases=True)
-    ways = [pulls[first(pulls, k, releases=True)].pushes[0].direction(axes) for k in range(2)]
+    ways = [pulls[name].pushes[0].direction(axes) for name in ("ramp_diagonal", "release_diagonal")]
     assert ways[0] @ ways[1] == pytest.approx(0.0, abs=1e-12)
     for way in ways:  # parts of 1 / sqrt(2) along both axes across, none along
         assert np.abs(axes @ way) == pytest.approx([0.5**0.5, 0.5**0.5, 0.0], abs=1e-12)

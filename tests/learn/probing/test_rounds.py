@@ -1,0 +1,48 @@
+"""Which pull comes next, of what a round has found."""
+
+from types import SimpleNamespace
+
+import pytest
+from bough.learn.probing import rounds
+from bough.learn.probing.menu import PLAIN, menu
+from bough.learn.probing.rounds import CLEAR, _next
+
+MODEL, RIVAL = "model", "rival"
+PULLS = menu(releases=True)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Return the pairs of models that were asked to be told apart; pulls are worth more, or narrow more, by name."""
+    pairs, names = [], {id(pull): name for name, pull in PULLS.items()}
+
+    def best_probe(contest, model, rival, probes):
+        pairs.append((model, rival))
+        return SimpleNamespace(evidence=300.0 if names[id(probes[0])] in ("thrice", "pull") else 1.0)
+
+    def narrowed(contest, model, probe):
+        return 0.4 if names[id(probe)] == PLAIN[1] else 0.7
+
+    monkeypatch.setattr(rounds, "best_probe", best_probe)
+    monkeypatch.setattr(rounds, "narrowed", narrowed)
+    return pairs
+
+
+def test_a_name_that_leads_is_confirmed_by_a_plain_pull(asked):
+    """Take the plain pull that narrows most; nothing is to be told apart."""
+    assert _next(SimpleNamespace(contest=None), "effects", MODEL, RIVAL, CLEAR, PULLS) == (PLAIN[1], 0.0)
+    assert asked == []
+
+
+@pytest.mark.parametrize(("verdict", "pair"), [("effects", (MODEL, RIVAL)), ("unknown", (MODEL, RIVAL)),
+                                               ("none", (RIVAL, MODEL))])  # fmt: skip
+def test_what_is_not_clear_is_told_apart(asked, verdict, pair):
+    """Take the pull that adds most for each recording: 300 for one beats 300 for three."""
+    assert _next(SimpleNamespace(contest=None), verdict, MODEL, RIVAL, CLEAR - 0.1, PULLS) == ("pull", 300.0)
+    assert set(asked) == {pair}
+
+
+def test_without_plain_pulls_a_leading_name_is_told_apart(asked):
+    """Go on where all plain pulls were done, or the user allows none of them."""
+    left = {name: pull for name, pull in PULLS.items() if name not in PLAIN}
+    assert _next(SimpleNamespace(contest=None), "effects", MODEL, RIVAL, 99.0, left) == ("pull", 300.0)
