@@ -201,7 +201,7 @@ BENCHMARKS = (
         "probing", "Recordings that `bough probe` and a fixed set of eight pulls need to name a hidden effect.",
         None, "robots/probing", 25, ("--segments", "2", "--effects", *PROBED),
         ("--quick", "--segments", "1", "--effects", "quadratic_drag", "dry_friction"),
-        unbound="it compares two designs of an experiment; fewer recordings are better",
+        unbound="it compares three designs of an experiment; fewer recordings are better",
     ),
     Benchmark(
         "cameras", "Clouds of one to three simulated D405s, with and without leaves, beside the kernel's own sampling.",
