@@ -73,40 +73,14 @@ def best_probe(
     """
     if not isinstance(contest.case, BranchCase):
         return None
-    precision = _precision(contest, rival)
     known = tuple(PROBES.everything().values()) if probes is None else probes
-    worths = [Worth(p, _worth(contest, p, model, rival, precision)) for p in known]
-    return max(worths, key=lambda w: w.evidence)
+    return max(worths(contest, model, rival, known), key=lambda w: w.evidence)
 
 
-def narrowed(contest: Contest, model: Model, probe: ArmProbe) -> float:
-    """Return what a probe leaves of the standard deviation of a branch's first effect's first parameter, as a share.
-
-    By the linearised covariance, given the case and given the probe as well, which the model itself is taken to answer
-    (c-optimal design, Elfving 1952, Ann. Math. Stat. 23:255).
-    """
-    case = contest.case
-    assert isinstance(case, BranchCase)
-    precision, columns = _precision(contest, model)
-    at = int(torch.nonzero(columns == contest.candidates[model.members[0]].columns[0])[0, 0])
-    other, (batch,) = _asked(contest, case, probe, [model])
-    j = other.linearise(batch)[1][0, : len(columns)].flatten(1)
-    after = precision + j @ j.T / overdispersion(contest, model.chi2)
-    before, left = (float(torch.linalg.pinv(p, hermitian=True)[at, at]) for p in (precision, after))
-    return float(np.sqrt(left / before))
-
-
-def _asked(
-    contest: Contest, case: BranchCase, probe: ArmProbe, models: Sequence[Model]
-) -> tuple[Contest, list[Batch]]:  # fmt: skip
-    """Return a contest on a probe, with what the first of some models answers for its data, and the models there."""
-    made = recordings_of(case, contest.recordings, probe)
-    other = Contest(case, made, contest.sigma.cpu().numpy(), contest.names, device=contest.device)
-    start = other.start0[None]
-    fits = [m.fit.batch for m in models]
-    batches = [Batch(b.free, b.active, start.clone(), b.free.new_ones(1, len(made))) for b in fits]
-    other.measured = other.simulate(other.values(batches[0]), batches[0].start)[0].double()
-    return other, batches
+def worths(contest: Contest, model: Model, rival: Model, probes: Sequence[ArmProbe]) -> list[Worth]:
+    """Return what each of some probes of a branch is worth for telling a model from its rival."""
+    precision = _precision(contest, rival)
+    return [Worth(p, _worth(contest, p, model, rival, precision)) for p in probes]
 
 
 def _precision(contest: Contest, model: Model) -> tuple[torch.Tensor, torch.Tensor]:
@@ -121,14 +95,41 @@ def _worth(
     contest: Contest, probe: ArmProbe, model: Model, rival: Model, precision: tuple[torch.Tensor, torch.Tensor]
 ) -> float:  # fmt: skip
     """Return T: the rival's chi-squared against the model's prediction of a probe, minimised over its parameters."""
-    case = contest.case
-    assert isinstance(case, BranchCase)
-    other, batches = _asked(contest, case, probe, [model, rival])
+    other, batches = _probed(contest, probe, [model, rival])
+    other.measured = other.simulate(other.values(batches[0]), batches[0].start)[0].double()  # the data of the rival
     residual, derivative, _ = other.linearise(batches[1])
     missed, j = residual.flatten(), derivative[0, : len(precision[1])].flatten(1)
     right = j @ missed
     adapted = float(right @ torch.linalg.solve(j @ j.T + precision[0], right))
     return max(float(missed @ missed) - adapted, 0.0) / overdispersion(contest, model.chi2)
+
+
+def narrowing(contest: Contest, model: Model, probes: Sequence[ArmProbe]) -> list[float]:
+    """Return what probes of a branch make of the deviation of a model's first effect's first parameter, a share of it.
+
+    c-optimal design (Elfving 1952, Ann. Math. Stat. 23:255): with P the precision of the model's free coordinates given
+    the case and J its Jacobian in the probe, the deviation of the one coordinate after it is that of (P + J J')^-1.
+    """
+    precision, columns = _precision(contest, model)
+    at = columns.tolist().index(contest.candidates[model.members[0]].columns[0])
+    before = torch.linalg.inv(precision)[at, at]
+    out = []
+    for probe in probes:
+        other, (batch,) = _probed(contest, probe, [model])
+        j = other.linearise(batch)[1][0, : len(columns)].flatten(1)
+        after = torch.linalg.inv(precision + j @ j.T / overdispersion(contest, model.chi2))[at, at]
+        out.append(float((after / before).sqrt()))
+    return out
+
+
+def _probed(contest: Contest, probe: ArmProbe, models: Sequence[Model]) -> tuple[Contest, list[Batch]]:
+    """Return the contest of a probe, and models of the case at its start."""
+    case = contest.case
+    assert isinstance(case, BranchCase)
+    made = recordings_of(case, contest.recordings, probe)
+    other = Contest(case, made, contest.sigma.cpu().numpy(), contest.names, device=contest.device)
+    fits, start = [m.fit.batch for m in models], other.start0[None]
+    return other, [Batch(b.free, b.active, start.clone(), b.free.new_ones(1, len(made))) for b in fits]
 
 
 def recordings_of(case: BranchCase, before: Sequence[Recording], probe: ArmProbe) -> list[Recording]:

@@ -141,8 +141,7 @@ class Prober:
             name = next((n for n, p in self._pulls.items() if len(p.pushes) <= left), "")
         if left <= 0 or not name:
             return None
-        proposed = last is not None and last.propose
-        why = _reason(last) if last and proposed else "a first look"
+        why = because(last) if last is not None and last.propose else "a first look"
         plan = {"pull": name, "words": self._pulls[name].words, "recordings": len(self._pulls[name].pushes), "why": why}
         self._folder.set_plan(number, plan)
         return plan
@@ -194,8 +193,8 @@ class Prober:
         return Outcome(settled(findings, self._budget.width), done, tuple(findings), case)
 
 
-def _reason(finding: Finding) -> str:
-    """Return why a finding proposes its pull."""
+def because(finding: Finding) -> str:
+    """Return in a few words why a round proposes its pull."""
     return f"adds {finding.gain:.0f} in twice the log likelihood" if finding.gain else "a plain pull, to confirm"
 
 
@@ -205,7 +204,7 @@ def spoken(finding: Finding) -> str:
         return f"nothing to be said yet: {finding.reason}"
     named = " and ".join(finding.effects) if finding.verdict == "effects" else finding.verdict
     rival = " and ".join(finding.rival) or "no effect"
-    return f"{named}, ahead of {rival} by {finding.lead:.0f}; next best: {finding.propose} (+{finding.gain:.0f})"
+    return f"{named}, ahead of {rival} by {finding.lead:.0f}; next best: {finding.propose}, {because(finding)}"
 
 
 def conclude(folder: Folder, outcome: Outcome, settings: Settings, progress: Callable[[str, int], None]) -> Diagnosis:

@@ -20,7 +20,7 @@ from ..gap.diagnosis import Settings
 from ..gap.evidence import ALARM, bootstrap_test
 from ..gap.models.fitted import FittedModels, Model
 from ..gap.models.scan import Basis, all_probes, signatures
-from ..gap.next_probe import best_probe, narrowed
+from ..gap.next_probe import narrowing, worths
 from ..gap.posterior import intervals
 from ..gap.prepare import Base, prepare
 from ..gap.run import Run
@@ -114,7 +114,8 @@ def _next(
     """Return the next pull, and what it is expected to add to twice the log likelihood ratio; see `Finding`."""
     plain = {name: pulls[name] for name in PLAIN if name in pulls}
     if verdict == "effects" and lead >= CLEAR and plain:
-        return min(plain, key=lambda name: narrowed(fitted.contest, model, plain[name])), 0.0
+        shares = dict(zip(plain, narrowing(fitted.contest, model, list(plain.values())), strict=True))
+        return min(plain, key=lambda name: shares[name]), 0.0
     # of an effect and the base the base can never look like the effect
     pair = (rival, model) if verdict == "none" else (model, rival)
     return _best(fitted, *pair, pulls)
@@ -134,10 +135,8 @@ def _contenders(fitted: FittedModels, decision: Decision) -> tuple[Model, Model]
 
 def _best(fitted: FittedModels, model: Model, rival: Model, pulls: Mapping[str, ArmProbe]) -> tuple[str, float]:
     """Return the pull that tells two models apart best, per recording that it costs, and what it is expected to add."""
-    worth = {}
-    for name, pull in pulls.items():
-        found = best_probe(fitted.contest, model, rival, [pull])
-        worth[name] = 0.0 if found is None else found.evidence / len(pull.pushes)
+    found = worths(fitted.contest, model, rival, list(pulls.values()))
+    worth = {name: w.evidence / len(pulls[name].pushes) for name, w in zip(pulls, found, strict=True)}
     best = max(worth, key=lambda name: worth[name], default="")
     return best, worth.get(best, 0.0)
 
