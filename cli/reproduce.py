@@ -77,6 +77,8 @@ class Chapter4:
         seed: First seed of everything random.
         rounds: Rounds of simulated motions for figure B.7; 0 leaves it out.
         mpc: Test sampling MPC without the tree, too, and count it to the oracle.
+        jobs: Policies that are trained and tested at the same time, each in a process of its own; on a CPU as many as
+            there are cores, but at most 4, and one on a GPU, if not given. Results do not depend on it.
         device: cpu, cuda or cuda:N; a GPU if there is one.
         resume: Go on with runs that were killed or are to be longer, keep those that are done, and add seeds.
         json: Print tables.json as JSON instead of a sentence.
@@ -93,6 +95,7 @@ class Chapter4:
     seed: int = 0
     rounds: int = 2
     mpc: bool = True
+    jobs: int | None = None
     device: str | None = None
     resume: bool = False
     json: bool = False
@@ -103,6 +106,7 @@ class Chapter4:
         start_warp()
         registry = registry or known_tasks()
         from ..learn.runs.processes import Processes
+        from ..learn.runs.side_by_side import usual_jobs
         from ..learn.thesis.chapter4.reproduce import reproduce, stages
         from ..learn.thesis.chapter4.runs import Options
 
@@ -110,6 +114,7 @@ class Chapter4:
         options = Options(
             self.preset or preset_of(device), device, self.num_envs, self.iterations, self.sets, self.worlds,
             self.seeds, self.ablation_seeds, self.seed, self.rounds, self.mpc,
+            usual_jobs(device) if self.jobs is None else self.jobs,
         )  # fmt: skip
         options.check()
         return _shown(self.out, stages(options, registry), lambda advance: reproduce(
@@ -136,6 +141,8 @@ class Chapter5:
         worlds: Worlds per test set.
         seeds: Trainings of every policy, of one seed after another; below three nothing is said to help.
         seed: First seed of everything random.
+        jobs: Policies that are trained and tested at the same time, each in a process of its own; on a CPU as many as
+            there are cores, but at most 4, and one on a GPU, if not given. Results do not depend on it.
         device: cpu, cuda or cuda:N; a GPU if there is one.
         resume: Go on with runs that were killed or are to be longer, keep those that are done, and add seeds.
         json: Print tables.json as JSON instead of a sentence.
@@ -150,6 +157,7 @@ class Chapter5:
     worlds: int = 512
     seeds: int = 3
     seed: int = 0
+    jobs: int | None = None
     device: str | None = None
     resume: bool = False
     json: bool = False
@@ -160,13 +168,14 @@ class Chapter5:
         start_warp()
         registry = registry or known_tasks()
         from ..learn.runs.processes import Processes
+        from ..learn.runs.side_by_side import usual_jobs
         from ..learn.thesis.chapter5.reproduce import reproduce, stages
         from ..learn.thesis.chapter5.runs import Options
 
         device = Processes().device(self.device)
         options = Options(
             self.preset or preset_of(device), device, self.num_envs, self.iterations, self.noise_levels, self.sets,
-            self.worlds, self.seeds, self.seed,
+            self.worlds, self.seeds, self.seed, usual_jobs(device) if self.jobs is None else self.jobs,
         )  # fmt: skip
         options.check()
         return _shown(self.out, stages(options), lambda advance: reproduce(

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import multiprocessing
 import tempfile
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -26,6 +22,7 @@ from ..hidden import NAMES, Spec, exam_plan, hide
 from ..hidden.joints.hide import FAINT, hide_joints
 from ..hidden.joints.plan import JointCaseSpec, joint_plan
 from ..reports.figures import png
+from ..runs.side_by_side import side_by_side
 from ..runs.threads import one_thread
 from .grades import WANTED, WANTED_JOINTS, as_text, grades, names_of
 
@@ -66,11 +63,10 @@ def hold(
     done = done_before(place, plan)
     todo = [(k, s) for k, s in enumerate(plan) if k not in {d["case"] for d in done}]
     with bar("exam", len(todo)) as advance:
-        for result in _sat(todo, jobs):
+        for result in side_by_side(sit, todo, jobs, advance):
             with place.open("a") as file:
                 file.write(json.dumps(result) + "\n")
             done.append(result)
-            advance(1)
     wanted = WANTED_JOINTS if joints else WANTED
     table = grades(done, wanted)
     (out / "exam.json").write_text(json.dumps({"noise": noise, "seed": seed, "grades": table}, indent=1) + "\n")
@@ -104,26 +100,7 @@ def _told(spec: Spec | JointCaseSpec) -> dict[str, Any]:
     return dict(json.loads(json.dumps(asdict(spec))))
 
 
-def _sat(todo: Sequence[tuple[int, Spec | JointCaseSpec]], jobs: int) -> Iterator[dict[str, Any]]:
-    """Yield the results of cases as they come.
-
-    Raises:
-        ChildProcessError: A worker is gone, so that its case will never come.
-    """
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
-        try:
-            for future in as_completed([pool.submit(sit, item) for item in todo]):
-                yield future.result()
-        except BrokenProcessPool:
-            said = "a case's process was killed, for memory perhaps; the same command goes on with what is left"
-            raise ChildProcessError(errno.ECHILD, said) from None
-        finally:  # after Ctrl-C nothing is waited for
-            pool.shutdown(wait=False, cancel_futures=True)
-            for worker in multiprocessing.active_children():
-                worker.terminate()
-
-
-def sit(item: tuple[int, Spec | JointCaseSpec]) -> dict[str, Any]:
+def sit(item: tuple[int, Spec | JointCaseSpec], advance: Callable[[int], None]) -> dict[str, Any]:
     """Hide one case, diagnose it, and return answer and verdict."""
     number, spec = item
     with tempfile.TemporaryDirectory() as folder, one_thread():
@@ -136,6 +113,7 @@ def sit(item: tuple[int, Spec | JointCaseSpec]) -> dict[str, Any]:
         found = find_missing(load_case(place), Run(Settings(particles=0)))
     verdict = found.verdict_file()
     verdict["case"] = number
+    advance(1)
     keys = ("null", "out_of_library", "effects", "equivalents", "weak", "visible_gap", "rig", "outside", "rate",
             "measurement_gap")  # fmt: skip
     truth = {k: answer[k] for k in keys if k in answer}

@@ -24,6 +24,10 @@ class InputError(ValueError):
         parts = [str(source), place, f"found {found}; allowed: {allowed}"]
         super().__init__(" ".join(": ".join(p for p in parts if p).split()))
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
+        """Return how another process makes it again."""
+        return type(self), (self.source, self.place, self.found, self.allowed)
+
 
 #: Largest seed: generators of torch take 63 bits.
 MOST_SEED = 2**63 - 1

@@ -5,22 +5,24 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from ....sim.base.errors import InputError
 from ....sim.base.files import output_folder
 from ....sim.base.host import describe
 from ....version import __version__
+from ...policies.compare import Episodes
 from ...policies.mpc import require_mppi
-from ...policies.train import LostError
 from ...runs.folder import RunFolder
+from ...runs.side_by_side import side_by_side
 from ...tasks.registry import TaskRegistry
 from ...touch.crossval import FOLDS
 from ...touch.forest import require_sklearn
-from ..chapter5.runs import check_kept, learn, minutes, runs_under
+from ..chapter5.runs import check_kept, learn_all, minutes, runs_under
 from . import touch
 from .findings import Findings
-from .runs import COMPARED, MPC, Options, Run, tested
+from .runs import COMPARED, MPC, Changes, Options, Run, tested
 
 LEARNING, TESTING, TOUCH = "learning", "testing", "figure B.7"
 Advance = Callable[[str, int], None]
@@ -58,22 +60,26 @@ def find(out: Path, options: Options, registry: TaskRegistry, advance: Advance =
 
 
 def _learn(found: Findings, folders: _Folders, registry: TaskRegistry, advance: _Count) -> None:
-    for run, folder in folders.items():
-        try:
-            learn(folder, found.options.plan(run, registry), registry, advance)
-        except LostError as error:
-            raise LostError(f"{run.name}: {error}") from None
-        found.minutes[run] = minutes(folder)
+    o = found.options
+    learn_all([(folder, o.plan(run, registry)) for run, folder in folders.items()], registry, o.jobs, advance)
+    found.minutes = {run: minutes(folder) for run, folder in folders.items()}
     found.metrics = {run: folder.metrics() for run, folder in folders.items() if run.policy in COMPARED}
     found.config = folders[found.options.runs[0]].config()
 
 
 def _test(found: Findings, folders: _Folders, registry: TaskRegistry, advance: _Count) -> None:
-    for run, folder in folders.items():
-        for changes in run.tests:
-            came = tested(folder, found.options, run, changes, registry, advance)
-            found.episodes[run, changes] = came["trained"]
-            found.mpc = came.get(MPC, found.mpc)
+    o = found.options
+    tests = [(folder, run, changes) for run, folder in folders.items() for changes in run.tests]
+    came = dict(side_by_side(partial(_tested, o, registry), tests, o.jobs, advance))
+    found.episodes = {(run, changes): came[run, changes]["trained"] for _, run, changes in tests}
+    found.mpc = next((episodes[MPC] for episodes in came.values() if MPC in episodes), None)
+
+
+def _tested(
+    options: Options, registry: TaskRegistry, test: tuple[RunFolder, Run, Changes], advance: _Count
+) -> tuple[tuple[Run, Changes], dict[str, Episodes]]:
+    folder, run, changes = test
+    return (run, changes), tested(folder, options, run, changes, registry, advance)
 
 
 def check(out: Path, options: Options, registry: TaskRegistry, *, resume: bool) -> None:

@@ -83,11 +83,12 @@ class Options:
     seed: int = 0
     rounds: int = 2
     mpc: bool = True
+    jobs: int = 1
 
     def check(self) -> None:
         """Raise `InputError` for numbers that cannot be."""
         least = {"num_envs": 1, "iterations": 1, "sets": 1, "worlds": len(PATTERNS), "seeds": 1, "ablation_seeds": 1,
-                 "seed": 0, "rounds": 0}  # fmt: skip
+                 "seed": 0, "rounds": 0, "jobs": 1}  # fmt: skip
         for name, lowest in least.items():
             value = getattr(self, name)
             if value is not None and value < lowest:

@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from ....sim.base.errors import InputError
 from ....sim.base.files import output_folder
 from ....sim.base.host import describe
 from ....version import __version__
-from ...policies.train import LostError
+from ...policies.evaluate import Row
 from ...runs.folder import RunFolder
+from ...runs.side_by_side import side_by_side
 from ...tasks.registry import TaskRegistry
 from . import embedding
 from .findings import Findings
-from .runs import TABLE_5_2, Options, Run, check_kept, learn, minutes, outcome, runs_under
+from .runs import TABLE_5_2, Options, Run, check_kept, learn_all, minutes, outcome, runs_under
 
 LEARNING, TESTING, EMBEDDING = "learning", "testing", "table 5.3"
 Advance = Callable[[str, int], None]
@@ -51,19 +53,25 @@ _Folders = dict[Run, RunFolder]
 
 
 def _learn(found: Findings, folders: _Folders, registry: TaskRegistry, advance: Callable[[int], None]) -> None:
-    for run, folder in folders.items():
-        try:
-            learn(folder, found.options.plan(run, registry), registry, advance)
-        except LostError as error:
-            raise LostError(f"{run.name}: {error}") from None
-        found.minutes[run] = minutes(folder)
+    o = found.options
+    learn_all([(folder, o.plan(run, registry)) for run, folder in folders.items()], registry, o.jobs, advance)
+    found.minutes = {run: minutes(folder) for run, folder in folders.items()}
     found.metrics = {row.run: folders[row.run].metrics() for row in TABLE_5_2}
     found.config = folders[TABLE_5_2[-1].run].config()
 
 
 def _test(found: Findings, folders: _Folders, registry: TaskRegistry, advance: Callable[[int], None]) -> None:
-    for run, folder in folders.items():
-        found.rows[run] = outcome(folder, found.options, run, registry, advance)
+    o = found.options
+    came = side_by_side(partial(_tested, o, registry), [(f, run) for run, f in folders.items()], o.jobs, advance)
+    found.rows |= dict(came)
+    found.rows = {run: found.rows[run] for run in folders}
+
+
+def _tested(
+    options: Options, registry: TaskRegistry, item: tuple[RunFolder, Run], advance: Callable[[int], None]
+) -> tuple[Run, dict[str, Row]]:
+    folder, run = item
+    return run, outcome(folder, options, run, registry, advance)
 
 
 def _measure(found: Findings, folders: _Folders, registry: TaskRegistry, advance: Callable[[int], None]) -> None:

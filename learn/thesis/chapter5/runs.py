@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ....sim.base.errors import InputError
 from ...policies import train_report
 from ...policies.evaluate import JSON, Row, evaluate
-from ...policies.train import Plan, plan_of, train, warn_of_differences
+from ...policies.train import LostError, Plan, plan_of, train, warn_of_differences
 from ...runs.folder import RunFolder
+from ...runs.side_by_side import side_by_side
 from ...tasks.measures import CLEARING_COLUMNS
 from ...tasks.ppo_settings import PRESETS, PPOSettings, Preset
 from ...tasks.registry import TaskRegistry
@@ -105,10 +108,12 @@ class Options:
     worlds: int = 512
     seeds: int = 3
     seed: int = 0
+    jobs: int = 1
 
     def check(self) -> None:
         """Raise `InputError` for numbers that cannot be."""
-        for name, least in (("num_envs", 1), ("iterations", 1), ("sets", 1), ("worlds", 1), ("seeds", 1), ("seed", 0)):
+        for name, least in (("num_envs", 1), ("iterations", 1), ("sets", 1), ("worlds", 1), ("seeds", 1), ("seed", 0),
+                            ("jobs", 1)):  # fmt: skip
             value = getattr(self, name)
             if value is not None and value < least:
                 raise InputError("reproduce", f"--{name.replace('_', '-')}", str(value), f"{least} or more")
@@ -189,6 +194,23 @@ def learn(folder: RunFolder, plan: Plan, registry: TaskRegistry, advance: Advanc
     else:
         train(plan, folder.path, registry, resume=True, progress=advance)
         train_report.write(folder)
+
+
+def learn_all(runs: Sequence[tuple[RunFolder, Plan]], registry: TaskRegistry, jobs: int, advance: Advance) -> None:
+    """Train runs, `jobs` at a time, go on with them, or leave them as they are.
+
+    Raises:
+        LostError: A loss left the finite; the message names the run.
+    """
+    deque(side_by_side(partial(_learnt, registry), runs, jobs, advance), maxlen=0)
+
+
+def _learnt(registry: TaskRegistry, run: tuple[RunFolder, Plan], advance: Advance) -> None:
+    folder, plan = run
+    try:
+        learn(folder, plan, registry, advance)
+    except LostError as error:
+        raise LostError(f"{folder.path.name}: {error}") from None
 
 
 def outcome(folder: RunFolder, options: Options, run: Run, registry: TaskRegistry, advance: Advance) -> dict[str, Row]:

@@ -1,7 +1,6 @@
 """What an exam leaves in its folder, and what it goes on from."""
 
 import json
-import os
 
 import pytest
 from bough.learn.exam import hold as module
@@ -43,16 +42,3 @@ def test_cases_of_another_exam_are_refused(tmp_path, other):
     place = written(tmp_path / "results.jsonl", exam_plan(2, 3))
     with pytest.raises(InputError, match="case 0 of another exam"):
         module.done_before(place, other)
-
-
-def test_a_killed_worker_ends_the_exam(monkeypatch):
-    """A case whose process is killed never comes; a pool that waits for it would hang for ever."""
-    monkeypatch.setattr(module, "sit", os._exit)  # the worker ends without a word
-    with pytest.raises(ChildProcessError, match="goes on"):
-        list(module._sat([1, 2], 1))
-
-
-def test_results_come_from_workers(monkeypatch):
-    """Every case comes once."""
-    monkeypatch.setattr(module, "sit", len)
-    assert sorted(module._sat(["a", "bc", "def"], 1)) == [1, 2, 3]

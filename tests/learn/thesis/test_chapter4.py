@@ -72,12 +72,12 @@ class PointTask(Reach):
         return torch.arange(self.num_envs) // 5
 
 
+def make(name, settings, **how):
+    return PointTask(settings, **how)
+
+
 def points():
     """Return a registry in which ``reach`` is the point mass."""
-
-    def make(name, settings, **how):
-        return PointTask(settings, **how)
-
     presets = {"cpu": PointSettings()}
     kind = TaskKind(REACHING, ("place", "time"), presets, make, REACH_COLUMNS, {"cpu": TINY}, 10, POLICIES, RECURRENT)
     return TaskRegistry((kind,))
@@ -164,9 +164,9 @@ def test_claims_by_hand():
 
 
 def test_command_that_is_interrupted_goes_on(tmp_path, monkeypatch, capsys):
-    """Stop inside the third run; go on, keep what is done, and end with the tables of an uninterrupted command."""
+    """Stop inside the third run; go on, keep what is done, and end with the tables of a command with two jobs."""
+    assert command(tmp_path / "whole", "--jobs", "2").run(points()) == 0
     monkeypatch.setattr(train_report, "write", lambda folder: None)  # a page for every run, seconds of drawing
-    assert command(tmp_path / "whole").run(points()) == 0
     assert "0 of 12 claims follow" in capsys.readouterr().out
     after, calls = Trainer._after, []
 
@@ -226,6 +226,7 @@ def check_page(out, kept):
         (("--ablation-seeds", "2"), "reproduce: --ablation-seeds: found 2; allowed: 1, as --seeds, or less"),
         (("--iterations", "0"), "reproduce: --iterations: found 0"),
         (("--rounds", "-1"), "reproduce: --rounds: found -1"),
+        (("--jobs", "0"), "reproduce: --jobs: found 0; allowed: 1 or more"),
     ],
 )
 def test_bad_options_are_one_line(tmp_path, options, words):
