@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from ....sim.base.errors import InputError
-from ....sim.base.files import output_folder
-from ....sim.base.host import describe
-from ....version import __version__
 from ...policies.compare import Episodes
 from ...policies.mpc import require_mppi
 from ...runs.folder import RunFolder
@@ -19,7 +14,7 @@ from ...runs.side_by_side import side_by_side
 from ...tasks.registry import TaskRegistry
 from ...touch.crossval import FOLDS
 from ...touch.forest import require_sklearn
-from ..chapter5.runs import check_kept, learn_all, minutes, runs_under
+from ..chapter5.trainings import check_runs, learn_all, minutes, runs_under, write
 from . import touch
 from .findings import Findings
 from .runs import COMPARED, MPC, Changes, Options, Run, tested
@@ -95,13 +90,7 @@ def check(out: Path, options: Options, registry: TaskRegistry, *, resume: bool) 
         require_sklearn()
     if options.mpc:
         require_mppi()
-    if out.exists() and not out.is_dir():
-        raise InputError(out, "--out", "a file", "a folder, or a path where one can be made")
-    there = [(run, f) for run in options.runs if (f := RunFolder(runs_under(out) / run.name)).exists]
-    if there and not resume:
-        raise InputError(out, "--out", f"{len(there)} runs", "--resume to go on with them, or another folder")
-    for run, folder in there:
-        check_kept(folder, options.plan(run, registry), registry)
+    check_runs(out, {run.name: options.plan(run, registry) for run in options.runs}, registry, resume=resume)
 
 
 def reproduce(
@@ -121,15 +110,10 @@ def reproduce(
         InputError: The options or the folder cannot be used; nothing is written then.
         LostError: A loss left the finite in a run.
     """
-    from ...reports.page import write_report
     from .report import content, tables
 
     check(out, options, registry, resume=resume)
     found = find(out, options, registry, advance)
-    with output_folder(out) as work:
-        page = content(found)
-        kept = {"version": __version__, "machine": describe(), "options": vars(options), "seconds": found.seconds,
-                "tables": {name: vars(table) for name, table in tables(found).items()}}  # fmt: skip
-        (work / "tables.json").write_text(json.dumps(kept, indent=2, allow_nan=False) + "\n")
-        write_report(work, page)
+    page = content(found)
+    write(out, page, tables(found), options, found.seconds)
     return page.headline

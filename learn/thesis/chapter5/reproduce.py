@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from ....sim.base.errors import InputError
-from ....sim.base.files import output_folder
-from ....sim.base.host import describe
-from ....version import __version__
 from ...policies.evaluate import Row
 from ...runs.folder import RunFolder
 from ...runs.side_by_side import side_by_side
 from ...tasks.registry import TaskRegistry
 from . import embedding
 from .findings import Findings
-from .runs import TABLE_5_2, Options, Run, check_kept, learn_all, minutes, outcome, runs_under
+from .runs import TABLE_5_2, Options, Run, outcome
+from .trainings import check_runs, learn_all, minutes, runs_under, write
 
 LEARNING, TESTING, EMBEDDING = "learning", "testing", "table 5.3"
 Advance = Callable[[str, int], None]
@@ -88,13 +84,7 @@ def check(out: Path, options: Options, registry: TaskRegistry, *, resume: bool) 
         InputError: They cannot be used: runs are there that are not to be gone on with, or are others.
     """
     options.check()
-    if out.exists() and not out.is_dir():
-        raise InputError(out, "--out", "a file", "a folder, or a path where one can be made")
-    there = [(run, f) for run in options.runs if (f := RunFolder(runs_under(out) / run.name)).exists]
-    if there and not resume:
-        raise InputError(out, "--out", f"{len(there)} runs", "--resume to go on with them, or another folder")
-    for run, folder in there:
-        check_kept(folder, options.plan(run, registry), registry)
+    check_runs(out, {run.name: options.plan(run, registry) for run in options.runs}, registry, resume=resume)
 
 
 def reproduce(
@@ -114,15 +104,10 @@ def reproduce(
         InputError: The options or the folder cannot be used; nothing is written then.
         LostError: A loss left the finite in a run.
     """
-    from ...reports.page import write_report
     from .report import content, tables
 
     check(out, options, registry, resume=resume)
     found = find(out, options, registry, advance)
-    with output_folder(out) as work:
-        page = content(found)
-        kept = {"version": __version__, "machine": describe(), "options": vars(options), "seconds": found.seconds,
-                "tables": {name: vars(table) for name, table in tables(found).items()}}  # fmt: skip
-        (work / "tables.json").write_text(json.dumps(kept, indent=2, allow_nan=False) + "\n")
-        write_report(work, page)
+    page = content(found)
+    write(out, page, tables(found), options, found.seconds)
     return page.headline

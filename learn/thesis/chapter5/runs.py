@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 from ....sim.base.errors import InputError
-from ...policies import train_report
 from ...policies.evaluate import JSON, Row, evaluate
-from ...policies.train import LostError, Plan, plan_of, train, warn_of_differences
+from ...policies.train import Plan
 from ...runs.folder import RunFolder
-from ...runs.side_by_side import side_by_side
 from ...tasks.measures import CLEARING_COLUMNS
 from ...tasks.ppo_settings import PRESETS, PPOSettings, Preset
 from ...tasks.registry import TaskRegistry
@@ -166,53 +161,6 @@ class Options:
         return Plan(TASK, self.settings(run, registry), self.ppo, self.seed + run.repeat, self.device)
 
 
-def check_kept(folder: RunFolder, plan: Plan, registry: TaskRegistry) -> None:
-    """Check that a run that is there is the one wanted, or a shorter one that can go on.
-
-    Raises:
-        InputError: It is another.
-    """
-    kept = plan_of(folder, registry)
-    if kept.ppo.iterations > plan.ppo.iterations:
-        allowed = f"{kept.ppo.iterations} or more, or another --out"
-        raise InputError(folder.path, "--iterations", str(plan.ppo.iterations), allowed)
-    ppo = replace(plan.ppo, iterations=kept.ppo.iterations)
-    if kept != replace(plan, ppo=ppo, device=kept.device):
-        raise InputError(folder.path, "", "a run with other options", "the options it was begun with, or another --out")
-    warn_of_differences(folder, plan)
-
-
-def learn(folder: RunFolder, plan: Plan, registry: TaskRegistry, advance: Advance) -> None:
-    """Train a run, go on with it, or leave it as it is if it is done.
-
-    Raises:
-        LostError: A loss is no longer finite; the newest checkpoint is from before.
-    """
-    newest = folder.newest()
-    if newest is not None and newest.number >= plan.ppo.iterations:
-        advance(plan.ppo.iterations)
-    else:
-        train(plan, folder.path, registry, resume=True, progress=advance)
-        train_report.write(folder)
-
-
-def learn_all(runs: Sequence[tuple[RunFolder, Plan]], registry: TaskRegistry, jobs: int, advance: Advance) -> None:
-    """Train runs, `jobs` at a time, go on with them, or leave them as they are.
-
-    Raises:
-        LostError: A loss left the finite; the message names the run.
-    """
-    deque(side_by_side(partial(_learnt, registry), runs, jobs, advance), maxlen=0)
-
-
-def _learnt(registry: TaskRegistry, run: tuple[RunFolder, Plan], advance: Advance) -> None:
-    folder, plan = run
-    try:
-        learn(folder, plan, registry, advance)
-    except LostError as error:
-        raise LostError(f"{folder.path.name}: {error}") from None
-
-
 def outcome(folder: RunFolder, options: Options, run: Run, registry: TaskRegistry, advance: Advance) -> dict[str, Row]:
     """Test a run, or read what was found if it was tested so already; return the rows by policy."""
     beside, sets = options.policies(run), options.runs[run]
@@ -237,14 +185,3 @@ def _row_of(kept: dict[str, Any]) -> Row:
     count = len(kept[COLUMNS[0]]["sets"])
     sets = [{name: known(kept[name]["sets"][k]) for name in COLUMNS} for k in range(count)]
     return Row(kept["policy"], known(kept["Train Rew"]), kept["Trials"], sets)
-
-
-def minutes(folder: RunFolder) -> float:
-    """Return the time that a run spent in its iterations [min]; building the worlds comes on top."""
-    rows = folder.metrics()
-    return sum((row["collect_seconds"] or 0.0) + (row["learn_seconds"] or 0.0) for row in rows) / 60.0
-
-
-def runs_under(out: Path) -> Path:
-    """Return the folder of all runs."""
-    return out / "runs"

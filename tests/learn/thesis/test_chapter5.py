@@ -25,7 +25,8 @@ from bough.learn.thesis.chapter5.findings import Interval, interval
 from bough.learn.thesis.chapter5.pointnet import PointNet
 from bough.learn.thesis.chapter5.report import curve, verdict
 from bough.learn.thesis.chapter5.reproduce import check
-from bough.learn.thesis.chapter5.runs import REMOVED, TABLE_5_2, Options, Run, learn, outcome, runs_under
+from bough.learn.thesis.chapter5.runs import REMOVED, TABLE_5_2, Options, Run, outcome
+from bough.learn.thesis.chapter5.trainings import learn, runs_under
 from bough.sim.base.console import start_warp
 from bough.sim.base.errors import InputError
 from bough.sim.scenes.scene import SceneSettings
