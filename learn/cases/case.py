@@ -494,6 +494,6 @@ def joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) -
         replicate_of=None if item.replicate_of is None else item.replicate_of - 1,
         effort=np.stack(efforts, axis=-1) if efforts else np.zeros((len(read.t), 0)),
         output=np.stack([(by_name[o.column] - o.offset) * o.scale for o in meta.outputs], axis=-1),
-        step=np.array([resolution(as_read[o.column] * o.scale) if read.moved else 0.0 for o in meta.outputs]),
+        step=np.array([resolution([as_read[o.column] * o.scale]) if read.moved else 0.0 for o in meta.outputs]),
     )
     return trajectory, step

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from .table import Table, decimals_of, numbers_of, read_table
 MIN_ROWS = 3
 #: Steps between values, relative to their median, that are round-off of a file's numbers.
 FUZZ = 1e-4
+#: Least share of samples that stay as they are, and least number of levels they stay on, by which a sensor's levels show.
+STAYS, LEVELS = 0.1, 8
 
 
 @dataclass(frozen=True)
@@ -73,11 +76,40 @@ def read_columns(
     return Columns(path, names, values, table.first_line + start, start, decimals)
 
 
-def resolution(values: Array) -> float:
-    """Return the smallest step between different values; last digits of one value written otherwise are none."""
-    steps = np.diff(np.unique(values))
-    steps = steps[steps > FUZZ * np.median(steps)] if len(steps) else steps
-    return float(steps.min()) if len(steps) else 0.0
+def resolution(signals: Sequence[Array]) -> float:
+    """Return what recordings [T] of one channel were rounded to: the smallest step between different values of one.
+
+    Values that were put on another clock by lines lie between the levels of their sensor wherever it moved. Where a good
+    part of the samples stays as it is, and stays on levels an even step apart, that step is taken.
+    """
+    fine = _smallest([_gaps(s) for s in signals])
+    stays = [s[1:][np.abs(np.diff(s)) <= FUZZ**2 * np.ptp(s)] for s in signals]
+    levels = [_gaps(s) for s in stays]
+    few = sum(map(len, stays)) < STAYS * sum(map(len, signals)) or sum(map(len, levels)) < LEVELS
+    if few or _even([_gaps(s) for s in signals], fine):
+        return fine
+    step = _smallest(levels)
+    return step if _even(levels, step) else fine
+
+
+def _gaps(values: Array) -> Array:
+    """Return the steps between different values; last digits of one value written otherwise are none."""
+    gaps = np.diff(np.unique(values))
+    return gaps[gaps > FUZZ * np.median(gaps)] if len(gaps) else gaps
+
+
+def _smallest(gaps: Sequence[Array]) -> float:
+    return min((float(g.min()) for g in gaps if len(g)), default=0.0)
+
+
+def _even(gaps: Sequence[Array], step: float) -> bool:
+    """Return whether neighbouring values are whole steps apart, within a tenth of one, and half of them near each other.
+
+    Only neighbours of at most ten steps are looked at: numbers are printed with so many digits.
+    """
+    steps = np.concatenate(gaps) / step if step > 0.0 else np.zeros(0)
+    near = steps[steps < 10.5]
+    return 2 * len(near) >= len(steps) and bool((np.abs(near - np.round(near)) < 0.1).all())
 
 
 def _check_header(table: Table, names: tuple[str, ...], exact: bool, clocks: int) -> None:

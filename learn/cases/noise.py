@@ -116,7 +116,7 @@ def difference_sigma(signals: list[Array], orders: tuple[int, ...] = ORDERS) -> 
     Takes the lowest order whose estimate no higher order undercuts by more than the higher one's standard error
     (Lepski's rule): a higher order removes more signal but knows the noise less well.
     """
-    step = resolution(np.concatenate(signals))
+    step = resolution(signals)
     estimates = [_one_order(signals, m, step) for m in orders if max(len(x) for x in signals) > 2 * m]
     for i, (sigma, error) in enumerate(estimates):
         if all(sigma <= higher + spread for higher, spread in estimates[i + 1 :]):
@@ -180,7 +180,7 @@ def _with_error(squares: float, freedom: int) -> tuple[float, float]:
 
 def _rounding(case: BranchCase | JointCase, signals: list[Array]) -> Array:
     """Return what every channel is rounded to, shape [C]: on another grid than the file's by what the file was."""
-    own = np.array([resolution(np.concatenate([s[:, c] for s in signals])) for c in range(signals[0].shape[1])])
+    own = np.array([resolution([s[:, c] for s in signals]) for c in range(signals[0].shape[1])])
     if isinstance(case, BranchCase):
         return own
     return np.maximum(own, np.min([t.step for t in case.trajectories], axis=0))

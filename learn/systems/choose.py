@@ -26,9 +26,7 @@ def system_of(
     if (own.joints, own.infer, own.shared) != (Unknowns.joints, Unknowns.infer, Unknowns.shared):
         found = "--joints, --infer or --shared with a case of joints"
         raise InputError(case.folder / "meta.yaml", "format", found, "null or mechanism.unknown in meta.yaml")
-    carried = [float(system.tree.inertia[j.link].trace() / 3 if j.type == "revolute" else system.tree.mass[j.link])
-               for j in system.joints]  # fmt: skip
-    settings = joint_settings(case, carried) if own.effects else []
+    settings = joint_settings(case, [system.carried[j.name] for j in system.joints]) if own.effects else []
     system.acting = ActingSet(own.effects, "joint", settings, case.name)
     system.parameters = bounded([*system.parameters, *system.acting.parameters], own.box)
     return system

@@ -26,6 +26,9 @@ class JointSystem:
     A revolute joint turns about the horizontal y axis; a prismatic one slides along x. The gravity torque
     -A sin(q - zero) is that of a mass hanging beside the joint (1 kg at A / g where A or zero is unknown); the moment
     of inertia about the joint is the given one whatever hangs there.
+
+    Attributes:
+        carried: Inertia of each joint by name [kg m^2], or mass [kg]; one where it is not known.
     """
 
     G = 9.81
@@ -46,6 +49,7 @@ class JointSystem:
         if not found:
             raise InputError(case.folder / "meta.yaml", "mechanism.joints", "no unknown", "at least one null")
         self.parameters = tuple(found)
+        self.carried = {j.name: j.inertia or 1.0 for j in self.joints}
         self.tree = self._tree(case.name)
 
     def _unknowns(
@@ -102,7 +106,7 @@ class JointSystem:
         gravity = [j.gravity_torque for j in self.joints]
         zero = np.array([0.0 if g is None else g.zero_angle or 0.0 for g in gravity])
         amplitude = np.array([0.0 if g is None or g.zero_angle is None else g.amplitude or 0.0 for g in gravity])
-        inertia = np.array([j.inertia or 1.0 for j in self.joints])
+        inertia = np.array(list(self.carried.values()))
         self._hang = np.stack([np.sin(zero), np.zeros(n), -np.cos(zero)], axis=-1)
         known = amplitude != 0.0
         # an arm short enough that the hanging mass takes a tenth of the given inertia

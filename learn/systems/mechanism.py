@@ -69,6 +69,7 @@ class MechanismSystem:
         joints: Joints that can be driven and measured, in the file's order.
         tree: The mechanism as in the file; springs are relaxed at coordinate zero and pre-loaded to pull to their rest.
         gravity: Acceleration of free fall [m/s^2], shape [3].
+        carried: Inertia about each joint's axis [kg m^2], or mass [kg], of all that it moves, as in the file.
         parameters: Unknowns, joint by joint.
         substep: Longest step [s].
     """
@@ -83,7 +84,7 @@ class MechanismSystem:
         self._file = case.folder / "meta.yaml"
         self._case = case
         self._bodies = {j.name: _body(self._links, j.link) for j in self.joints}
-        self._carried = {j.name: _carried(self.tree, j) for j in self.joints}
+        self.carried = {j.name: _carried(self.tree, j) for j in self.joints}
         steps = [max(FINEST * case.dt, TURN / w) for w in self._frequencies() if w > 0.0]
         self.substep = min([longest_step(case.dt), *steps])
         named = [(q, j) for j in self.joints for q in UNKNOWN if q in case.unknown or f"{q} {j.name}" in case.unknown]
@@ -125,7 +126,7 @@ class MechanismSystem:
         revolute = joint.type == "revolute"
         force, turn = ("N m", "rad") if revolute else ("N", "m")
         weight, body = "kg m^2" if revolute else "kg", self._bodies[joint.name]
-        inertia, effort = self._carried[joint.name], self._largest_effort(joint)
+        inertia, effort = self.carried[joint.name], self._largest_effort(joint)
         fastest, slowest = 0.25 / self._case.dt, 1.0 / max(t.t[-1] for t in self._case.trajectories)
         reach = body.com + float(np.sqrt(body.central / body.mass)) if body.mass else 0.0
         makers: dict[str, Callable[[], Parameter]] = {
@@ -149,7 +150,7 @@ class MechanismSystem:
         if joint.name in driven:
             column = driven.index(joint.name)
             return max(float(np.abs(t.effort[:, column]).max()) for t in self._case.trajectories)
-        return float(np.linalg.norm(self.gravity)) * float(np.sqrt(self._carried[joint.name] * self.tree.mass.sum()))
+        return float(np.linalg.norm(self.gravity)) * float(np.sqrt(self.carried[joint.name] * self.tree.mass.sum()))
 
     acting = ActingSet((), "joint", [])
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bough.learn.cases.case import load_case
+from bough.learn.cases.columns import resolution
 from bough.learn.cases.noise import difference_sigma, estimate_noise, pool, quiet_sigma, replicate_sigma
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -102,6 +103,27 @@ def test_rounded_angles_keep_their_rounding() -> None:
     found = estimate_noise(load_case(DATA / "pendulum"))
     assert found.channel == ("angle_deg",) and found.sigma[0] >= np.radians(0.09) / np.sqrt(12) * 0.99
     assert np.isnan(found.by_method["replicates"]).all()
+
+
+def test_levels_show_where_samples_stay() -> None:
+    """Find an encoder's count after its samples were put on another grid by lines; keep what other samples have.
+
+    Recordings have zeros of their own. A force that was held at two values shows no levels, a ramp of even steps its
+    steps, noise its finest step.
+    """
+    rng, count = np.random.default_rng(0), 1.5e-3
+    t = np.cumsum(rng.uniform(0.004, 0.006, 1500))
+    angle = 0.4 * np.exp(-t) * np.cos(8.0 * t)
+    counted = [np.round((angle + zero) / count) * count - zero for zero in (0.0, 0.3 * count)]
+    regular = np.arange(0.005, 7.0, 0.005)
+    assert resolution(counted) == pytest.approx(count, rel=1e-6)
+    assert resolution([np.interp(regular, t, x) for x in counted]) == pytest.approx(count, rel=1e-6)
+    held = np.interp(np.arange(500), [0, 150, 190, 350, 390, 500], [0, 0, 3, 3, 0, 0]) + 0.0
+    assert resolution([held]) == pytest.approx(3 / 40, rel=1e-6)
+    smooth = np.where(np.arange(500) < 200, 0.0, np.sin(0.05 * np.arange(500)))
+    assert resolution([smooth]) < 1e-4
+    white = rng.standard_normal(500)
+    assert resolution([white]) == np.diff(np.sort(white))[np.diff(np.sort(white)) > 1e-6].min()
 
 
 def test_counts_on_another_grid_are_still_rounded(tmp_path):

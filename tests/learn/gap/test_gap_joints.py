@@ -1,9 +1,11 @@
-"""Diagnoses of joints that are measured directly, simulated here by SciPy's integrator with laws of its own."""
+"""Diagnoses of joints that are measured directly, simulated by SciPy's integrator with laws of its own, or MuJoCo."""
 
+import mujoco
 import numpy as np
 import pytest
 import yaml
 from bough.learn.cases.case import load_case
+from bough.learn.cases.noise import estimate_noise
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.at_rest import Noise
@@ -83,6 +85,55 @@ def test_a_cart_that_slides_by_millimetres_rubs(tmp_path):
         "torque_Nm": "N", "bend_rad": "m", "gradual": "1",
     }  # fmt: skip
     assert {k.unit for k in content(found, drawn=False).numbers} == {"cm", "N", "m", ""}
+
+
+RUBBING = """<mujoco><option timestep="5e-4"/><worldbody><body><joint name="axis" axis="0 -1 0" damping="0.004"
+armature="0.002" frictionloss="{friction}"/><inertial pos="0 0 -0.1" mass="0.5" diaginertia="1e-6 1e-6 1e-6"/></body>
+</worldbody></mujoco>"""
+
+
+def let_go(folder, friction, starts, *, count=2 * np.pi / 4096, rate=285.0, duration=4.0):
+    """Write a case of MuJoCo's swings of a servo's arm let go, rounded to counts; the clock is put on a grid by lines.
+
+    The file says nothing of friction, and the arm's mass is off the axis: its inertia about that is 0.007 kg m^2, 7000
+    times that about its own centre.
+    """
+    folder.mkdir()
+    model = mujoco.MjModel.from_xml_string(RUBBING.format(friction=friction))
+    (folder / "arm.xml").write_text(RUBBING.format(friction=0.0))
+    grid = np.arange(round(duration * rate)) / rate
+    for k, start in enumerate(starts):
+        data, moments, angles = mujoco.MjData(model), [0.0], [start]
+        data.qpos[0] = start
+        while moments[-1] < grid[-1]:
+            mujoco.mj_step(model, data, np.random.default_rng(len(moments)).integers(6, 9))
+            moments.append(data.time)
+            angles.append(data.qpos[0])
+        read = np.interp(grid, moments, np.round(np.array(angles) / count) * count)
+        np.savetxt(folder / f"run_{k + 1}.csv", np.stack([grid, read], -1), fmt="%.12g", delimiter=",",
+                   header="time_s,angle_rad", comments="")  # fmt: skip
+    meta = {
+        "format": "joint-gap-case/1", "mechanism": {"mjcf": "arm.xml", "unknown": ["damping"]}, "input": None,
+        "outputs": [{"joint": "axis", "quantity": "position", "column": "angle_rad", "scale": 1.0}],
+        "trajectories": [{"file": f"run_{k + 1}.csv", "t_start_s": 10.0 * k} for k in range(len(starts))],
+    }  # fmt: skip
+    (folder / "meta.yaml").write_text(yaml.safe_dump(meta))
+    return folder
+
+
+def test_an_arm_that_is_let_go_rubs(tmp_path):
+    """Name dry friction of an arm given as an MJCF file, of which only angles were measured, in counts on a new grid.
+
+    The friction's box went up to a torque of the arm's inertia about its own centre, a thousandth of what there is, and
+    the noise was a thirtieth of what counts leave, for most of the time the arm stands still. Real: an XL330 servo.
+    """
+    folder = let_go(tmp_path / "arm", 0.012, (-0.34, -0.6, -0.66, -0.95))
+    case = load_case(folder)
+    assert estimate_noise(case).sigma[0] == pytest.approx(2 * np.pi / 4096 / np.sqrt(12), rel=1e-6)
+    found = diagnosed(folder)
+    assert [a.name for a in found.effects] == ["dry_friction"], found.sentence
+    assert found.parameters["dry_friction@0"]["torque_Nm"].median == pytest.approx(0.012, rel=0.1)
+    assert found.gap.repaired < 0.2 * found.gap.base
 
 
 def test_a_magnet_under_a_pendulum_is_not_nothing(tmp_path):
