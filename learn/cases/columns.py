@@ -16,7 +16,7 @@ from .table import Table, decimals_of, numbers_of, read_table
 MIN_ROWS = 3
 #: Steps between values, relative to their median, that are round-off of a file's numbers.
 FUZZ = 1e-4
-#: Least share of samples that stay as they are, and least number of levels they stay on, by which a sensor's levels show.
+#: Least share of samples that stay as they are, and least number of levels that they stay on, where these are a sensor's.
 STAYS, LEVELS = 0.1, 8
 
 
@@ -79,8 +79,8 @@ def read_columns(
 def resolution(signals: Sequence[Array]) -> float:
     """Return what recordings [T] of one channel were rounded to: the smallest step between different values of one.
 
-    Values that were put on another clock by lines lie between the levels of their sensor wherever it moved. Where a good
-    part of the samples stays as it is, and stays on levels an even step apart, that step is taken.
+    Values that were put on another clock by lines lie between the levels of their sensor wherever it moved. Where a
+    good part of the samples stays as it is, and stays on levels an even step apart, that step is taken.
     """
     fine = _smallest([_gaps(s) for s in signals])
     stays = [s[1:][np.abs(np.diff(s)) <= FUZZ**2 * np.ptp(s)] for s in signals]
@@ -103,9 +103,9 @@ def _smallest(gaps: Sequence[Array]) -> float:
 
 
 def _even(gaps: Sequence[Array], step: float) -> bool:
-    """Return whether neighbouring values are whole steps apart, within a tenth of one, and half of them near each other.
+    """Return whether neighbouring values are whole steps apart, within a tenth of one, and half of them by ten at most.
 
-    Only neighbours of at most ten steps are looked at: numbers are printed with so many digits.
+    Only these are looked at: numbers are printed with so many digits.
     """
     steps = np.concatenate(gaps) / step if step > 0.0 else np.zeros(0)
     near = steps[steps < 10.5]
