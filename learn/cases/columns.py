@@ -16,7 +16,7 @@ from .table import Table, decimals_of, numbers_of, read_table
 MIN_ROWS = 3
 #: Steps between values, relative to their median, that are round-off of a file's numbers.
 FUZZ = 1e-4
-#: Least share of samples that stay as they are, and least number of levels that they stay on, where these are a sensor's.
+#: Least share of samples that stay as they are, and least number of levels that they stay on, if these are a sensor's.
 STAYS, LEVELS = 0.1, 8
 
 
