@@ -130,8 +130,9 @@ def claims(found: Findings) -> list[Claim]:
         _ratio(found, "success of PCAP among rudimentary springs over success among beams, each as trained", None, pcap,
                Run("pcap", springs="beam"), SUCCESS),
     ]  # fmt: skip
-    past = [_ratio(found, f"PCAP's mean force over {p}'s (past the thesis)", None, pcap, Run(p), FORCE)
-            for p in BEYOND]  # fmt: skip
+    past = [claim for p in BEYOND for claim in (
+        _ratio(found, f"PCAP's mean force over {p}'s (past the thesis)", None, pcap, Run(p), FORCE),
+        _more_success(found, f"{p}'s success less PCAP's, points (past the thesis)", Run(p), pcap))]  # fmt: skip
     return [*out, *past]
 
 
@@ -147,6 +148,13 @@ def _ratio(
     got = interval([a / b if b > 0.0 else math.nan for a, b in pairs])
     as_much = None if thesis is None else got.mean >= thesis
     return Claim(text, "above 1" if thesis is None else f"{thesis:g}", got, _on_side(got, 1.0), as_much)
+
+
+def _more_success(found: Findings, text: str, one: Place, other: Place) -> Claim:
+    """Return the claim that one succeeds more often than the other, in all patterns: seed k of both."""
+    rows = [_values(found, place, SUCCESS, ALL) for place in (one, other)]
+    got = interval([a - b for a, b in zip(*rows, strict=False)])
+    return Claim(text, "above 0", got, _on_side(got, 0.0), None)
 
 
 def _values(found: Findings, place: Place, column: str, pattern: str) -> list[float]:
