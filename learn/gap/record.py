@@ -14,7 +14,7 @@ from .prepare import Base
 from .repaired import Repaired
 from .run import Run
 from .search import Searched
-from .usable import different_plants, one_way
+from .usable import different_plants, one_way, rests_elsewhere
 from .where import replicate_scatter, swing_of
 
 
@@ -33,7 +33,8 @@ def record(
         beside = _beside(base, fitted, decision) if base.doubted else Geometry()
         askew = beside.share > run.settings.tolerance
         ahead = decision.verdict == "effects" and askew and predicts(fitted, decision.final)
-    remarks = one_way(case, recordings, fitted.values(fitted.base))
+    remarks = (*one_way(case, recordings, fitted.values(fitted.base)),
+               *rests_elsewhere(case, recordings, repaired.base_output))  # fmt: skip
     if askew and not base.unusable:
         remarks += ("Geometry and mountings that are not quite as the file says explain"
                     f" {percent(beside.share)} of the motion (furthest: {beside.furthest}).",)  # fmt: skip

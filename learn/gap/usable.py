@@ -34,6 +34,9 @@ APART, SEPARATE_LEAVE, SEPARATE_STEPS, LIVELY = 1.5, 0.25, 20, 0.1
 ENOUGH_EXPLAINED = 0.87
 #: Rate, relative to the largest, from which a joint moves; share of moving samples that make a direction.
 MOVING, DIRECTION = 0.05, 0.02
+#: Shares of a recording's samples, its end, in which a joint is to rest and its model about it; how far they may move
+#: there, of all that the joint moves; how many standard deviations from the model is beside it in all recordings.
+END, LONG_END, STILL, NEARLY_STILL, BESIDE = 0.1, 0.25, 0.01, 0.15, 3.0
 
 
 def nothing_moves(case: BranchCase | JointCase) -> str | None:
@@ -185,3 +188,36 @@ def turns_back(rates: Sequence[Array]) -> bool:
     moving = rate[np.abs(rate) > MOVING * np.quantile(np.abs(rate), 0.99)]
     forward = float(np.mean(moving > 0.0)) if len(moving) else 0.5
     return min(forward, 1.0 - forward) >= DIRECTION
+
+
+def rests_elsewhere(case: BranchCase | JointCase, recordings: Sequence[Recording], simulated: Array) -> tuple[str, ...]:
+    """Return a remark for every replayed joint that comes to rest elsewhere than the base model, in all recordings.
+
+    ``simulated`` are the base model's channels, shape [R, T, C]. Nothing may act at the end of a recording.
+    """
+    if isinstance(case, BranchCase) or case.fit == "torque":
+        return ()
+    out = []
+    for c, o in enumerate(case.outputs):
+        pairs = zip(recordings, simulated, strict=True)
+        found = [_rest(r.output[:, c], own[: len(r.t), c], r.input) for r, own in pairs]
+        away = np.array([x for x in found if x is not None])
+        if o.quantity != "position" or len(away) < 2 or abs(away.mean()) <= BESIDE * max(away.std(ddof=1), 1e-12):
+            continue
+        unit = "rad" if next(j for j in case.joints if j.name == o.joint).type == "revolute" else "m"
+        out.append(
+            f"Joint {o.joint} comes to rest about {away.mean():.1g} {unit} from where the model does, in {len(away)}"
+            " recordings alike: its zero may be off (offset in meta.yaml, or --position-zero end of bough new-case), or"
+            " its centre of mass (unknown), or friction holds it on the side that it was pulled to."
+        )
+    return tuple(out)
+
+
+def _rest(measured: Array, model: Array, acting: Array) -> float | None:
+    """Return how far a joint is from its model at the end of a recording; None where either moves or something acts."""
+    last, longer = (slice(-max(2, round(share * len(measured))), None) for share in (END, LONG_END))
+    swing = float(np.ptp(measured))
+    moves = np.ptp(measured[last]) > STILL * swing or np.ptp(model[longer]) > NEARLY_STILL * swing
+    if moves or np.abs(acting[last]).max(initial=0.0) > 0.0:
+        return None
+    return float(measured[last].mean() - 0.5 * (model[longer].max() + model[longer].min()))

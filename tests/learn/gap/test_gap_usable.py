@@ -10,7 +10,7 @@ from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.candidates import everywhere, names_for, needs_spring, springs
 from bough.learn.gap.run import Run
-from bough.learn.gap.usable import one_way, plant_numbers, too_few
+from bough.learn.gap.usable import one_way, plant_numbers, rests_elsewhere, too_few
 from bough.learn.gap.where import locate, replicate_scatter, swing_of
 from bough.learn.replay.recording import recordings
 from bough.learn.runs.threads import one_thread
@@ -101,6 +101,28 @@ def test_motion_one_way_leaves_friction_open(tmp_path, kind, unit):
     assert one_way(forward, recordings(forward), {"damping axis": 1.0}) == ()  # no offset is free
     both = write(tmp_path / "both", [np.sin(t)], joint, effort=effort, quantity="velocity")
     assert one_way(both, recordings(both), values) == ()
+
+
+def test_a_joint_that_rests_beside_its_model_is_told(tmp_path):
+    """Say by how much, in the joint's unit, where all recordings end there: 30 mrad to one side, 1 mrad apart.
+
+    Not where they end on both sides, where one moves on or is pushed, or where efforts are fitted.
+    """
+    swing = [size * np.exp(-1.5 * np.arange(300) / 50.0) * np.cos(0.2 * np.arange(300)) for size in (0.4, 0.7, 0.9)]
+    model = np.stack(swing)[..., None]
+
+    def told(name, away, **more):
+        case = write(tmp_path / name, [x + a for x, a in zip(swing, away, strict=True)], HANGING, **more)
+        return rests_elsewhere(case, recordings(case), model)
+
+    (said,) = told("beside", (-0.029, -0.03, -0.031))
+    assert "axis comes to rest about -0.03 rad from where the model does, in 3 recordings alike" in said
+    assert told("both", (-0.03, 0.03, -0.03)) == ()
+    assert told("pushed", (-0.029, -0.03, -0.031), effort=np.full(300, 0.1)) == ()
+    assert told("moving", (*2 * [-0.03 + 0.05 * np.sin(np.arange(300))], -0.03)) == ()
+    case = write(tmp_path / "torque", [x - 0.03 for x in swing], HANGING, effort=np.zeros(300))
+    assert len(rests_elsewhere(case, recordings(case), model)) == 1
+    assert rests_elsewhere(replace(case, fit="torque"), recordings(case), model) == ()
 
 
 def test_laws_of_springs_are_nothing_without_one(tmp_path):
