@@ -18,6 +18,8 @@ from .runs import BEYOND, COMPARED, PATTERNS, TORQUES, Changes, Options, Run
 COLUMNS = {column.name: column for column in REACH_COLUMNS}
 SUCCESS, FORCE, RUPTURE, STEPS = "Test SR %", "Force N", "Above 80 N %", "Steps %"
 ALL = "all"
+#: Largest logarithm of a ratio's interval that is told.
+MOST_LOG = 50.0
 
 
 @dataclass
@@ -142,10 +144,15 @@ Place = Run | tuple[Run, Changes]
 def _ratio(
     found: Findings, text: str, thesis: float | None, above: Place, below: Place, column: str, pattern: str = ALL
 ) -> Claim:
-    """Return the claim that a ratio is above one: of seed k over seed k."""
+    """Return the claim that a ratio is above one: of seed k over seed k, the geometric mean.
+
+    Its interval is that of the logarithms: twice as much and half as much are as far from one.
+    """
     rows = [_values(found, place, column, pattern) for place in (above, below)]
     pairs = list(zip(*rows, strict=False))
-    got = interval([a / b if b > 0.0 else math.nan for a, b in pairs])
+    logs = interval([math.log(a / b) if a > 0.0 and b > 0.0 else math.nan for a, b in pairs])
+    mean_, low, high = (math.exp(min(x, MOST_LOG)) for x in (logs.mean, logs.low, logs.high))
+    got = Interval(mean_, low, high, logs.count)
     as_much = None if thesis is None else got.mean >= thesis
     return Claim(text, "above 1" if thesis is None else f"{thesis:g}", got, _on_side(got, 1.0), as_much)
 

@@ -54,7 +54,8 @@ def _claims(found: Findings) -> ReportTable:
     rows: list[tuple[object, ...]] = [(c.text, c.thesis, _cell(c.found, 2), c.verdict) for c in claims(found)]
     note = (
         f"Ratios and differences of seed k of one policy and seed k of the other; mean and 95 % interval over seeds "
-        f"(Student's t). A claim follows where the whole interval of {LEAST_SEEDS} seeds or more is on its side, and "
+        f"(Student's t), of ratios geometric and by their logarithms. A claim follows where the whole interval of "
+        f"{LEAST_SEEDS} seeds or more is on its side, and "
         "'by less' where the mean does not reach the thesis's figure. The hardest pattern is the one in which PPO "
         f"succeeds least: {found.hardest}. The thesis trained once, or does not say."
     )

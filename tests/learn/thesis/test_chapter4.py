@@ -161,6 +161,16 @@ def test_claims_by_hand():
     assert {c.verdict for c in few} == {"not said: fewer than 3 seeds"}
 
 
+def test_ratios_are_averaged_by_their_logarithms():
+    """Half, twice and as much is as much: exp(+-4.303 ln 2 / sqrt(3)) by Student's t of two degrees of freedom."""
+    found = made(3, {}, {})
+    for k, factor in enumerate((2.0, 0.5, 1.0)):
+        found.episodes[Run("pcap", repeat=k), ()].measures["force"] *= factor
+    ratio = claims(found)[0].found
+    assert ratio.mean == pytest.approx(1.0) and ratio.high == pytest.approx(2.0 ** (4.3027 / np.sqrt(3.0)), rel=1e-4)
+    assert ratio.low * ratio.high == pytest.approx(1.0)
+
+
 # ---- the command ---------------------------------------------------------------------------------------------------
 
 
