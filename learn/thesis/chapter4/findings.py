@@ -18,6 +18,7 @@ from .runs import BEYOND, COMPARED, PATTERNS, TORQUES, Changes, Options, Run
 COLUMNS = {column.name: column for column in REACH_COLUMNS}
 SUCCESS, FORCE, RUPTURE, STEPS = "Test SR %", "Force N", "Above 80 N %", "Steps %"
 ALL = "all"
+_LESS, _MORE = "PCAP's mean force over {}'s (past the thesis)", "{}'s success less PCAP's, points (past the thesis)"
 #: Largest logarithm of a ratio's interval that is told.
 MOST_LOG = 50.0
 
@@ -133,9 +134,15 @@ def claims(found: Findings) -> list[Claim]:
                Run("pcap", springs="beam"), SUCCESS),
     ]  # fmt: skip
     past = [claim for p in BEYOND for claim in (
-        _ratio(found, f"PCAP's mean force over {p}'s (past the thesis)", None, pcap, Run(p), FORCE),
-        _more_success(found, f"{p}'s success less PCAP's, points (past the thesis)", Run(p), pcap))]  # fmt: skip
+        _ratio(found, _LESS.format(p), None, pcap, Run(p), FORCE),
+        _more_success(found, _MORE.format(p), Run(p), pcap))]  # fmt: skip
     return [*out, *past]
+
+
+def gentler(found: Findings) -> list[str]:
+    """Return the policies past the thesis that press less than PCAP, with all of the interval, and succeed as often."""
+    said = {claim.text: claim for claim in claims(found)}
+    return [p for p in BEYOND if said[_LESS.format(p)].holds and said[_MORE.format(p)].holds is not False]
 
 
 Place = Run | tuple[Run, Changes]

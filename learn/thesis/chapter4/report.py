@@ -17,7 +17,7 @@ from ...policies.tables import wilson
 from ...reports.page import KeyNumber, ReportContent, ReportFigure, ReportTable
 from ..chapter5.findings import LEAST_SEEDS, Interval
 from . import figures
-from .findings import ALL, COLUMNS, FORCE, RUPTURE, STEPS, SUCCESS, Claim, Findings, by_pattern, claims
+from .findings import ALL, COLUMNS, FORCE, RUPTURE, STEPS, SUCCESS, Claim, Findings, by_pattern, claims, gentler
 from .runs import AUTHOR_MPC, AUTHOR_TOUCH, COMPARED, FORESTS, FRACTAL, PATTERNS, TORQUES, Run
 
 _SHOWN = (SUCCESS, FORCE, RUPTURE, STEPS, "Broken", "Rolling %", "Retracting %", "Slowing %")
@@ -57,7 +57,8 @@ def _claims(found: Findings) -> ReportTable:
         f"(Student's t), of ratios geometric and by their logarithms. A claim follows where the whole interval of "
         f"{LEAST_SEEDS} seeds or more is on its side, and "
         "'by less' where the mean does not reach the thesis's figure. The hardest pattern is the one in which PPO "
-        f"succeeds least: {found.hardest}. The thesis trained once, or does not say."
+        f"succeeds least: {found.hardest}. The thesis trained once, or does not say. Of the policies past the thesis "
+        f"{', '.join(gentler(found)) or 'none'} presses less than PCAP beyond the intervals and succeeds as often."
     )
     return ReportTable("What follows", ("claim", "thesis", "here", "verdict"), rows, note)
 

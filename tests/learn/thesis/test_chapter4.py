@@ -20,7 +20,7 @@ from bough.learn.tasks.names import REACHING
 from bough.learn.tasks.ppo_settings import PRESETS as PPO
 from bough.learn.tasks.reach_settings import GROUPS, POLICIES, RECURRENT, ReachSettings, columns_of
 from bough.learn.tasks.registry import TaskKind, TaskRegistry, known_tasks
-from bough.learn.thesis.chapter4.findings import SUCCESS, Findings, claims
+from bough.learn.thesis.chapter4.findings import SUCCESS, Findings, claims, gentler
 from bough.learn.thesis.chapter4.runs import AUTHOR_MPC, PATTERNS, Options, Run
 from bough.sim.base.errors import InputError
 from bough.sim.scenes.reach_scene import ReachScene
@@ -159,6 +159,12 @@ def test_claims_by_hand():
     assert said[-1].verdict == "not said: the interval is on both sides"
     few = claims(made(2, {"ppo": 36.0}, {"ppo": 8}))
     assert {c.verdict for c in few} == {"not said: fewer than 3 seeds"}
+
+
+def test_what_presses_less_and_succeeds_as_often_is_gentler():
+    """A third of the force at equal success is; at half the success it is not."""
+    assert gentler(made(3, {"skin": 3.0, "pcap-rnn": 3.0}, {"pcap-rnn": 2})) == ["skin"]
+    assert gentler(made(3, {}, {})) == [] == gentler(made(2, {"skin": 3.0}, {}))
 
 
 def test_ratios_are_averaged_by_their_logarithms():
