@@ -235,3 +235,19 @@ def test_what_is_said_of_each_kind(cases, numbers, verdict, words) -> None:
     found = consistent(made(cases, numbers))
     assert found.verdict == verdict and words in found.sentence, found.sentence
     assert found.verdict_file()["not_understood"] == list(found.not_understood)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "share", "verdict"),
+    [(1.5, 0.09, "unknown"), (1.5, 0.009, "none"), (1.3, 0.2, "none"), (2.5, 0.01, "unknown")],
+)
+def test_little_above_the_noise_must_be_much_of_the_motion(ratio, share, verdict):
+    """Nothing is missing where 0.9 % of the motion is left at 1.5 times the noise; 9 % there, or 1 % at 2.5, is not."""
+    floor = 1e-3
+    n = {
+        "verdict": "none", "recordings": 3, "base": ratio * floor, "repaired": None, "floor": floor,
+        "swing": floor * math.sqrt(ratio**2 - 1.0) / share, "p": 0.9, "explained": 0.0, "chi2": 1.2, "size": 0.0,
+        "count": 1, "broken": None, "remark": False, "unusable": None, "scatter": None, "unstable": False,
+        "may_be_off": False, "implausible": False, "instead": "", "askew": (0.0, 1.0),
+    }  # fmt: skip
+    assert consistent(made(CASES, n)).verdict == verdict
