@@ -82,11 +82,12 @@ def resolution(signals: Sequence[Array]) -> float:
     Values that were put on another clock by lines lie between the levels of their sensor wherever it moved. Where a
     good part of the samples stays as it is, and stays on levels an even step apart, that step is taken.
     """
-    fine = _smallest([_gaps(s) for s in signals])
+    gaps = [_gaps(s) for s in signals]
+    fine = _smallest(gaps)
     stays = [s[1:][np.abs(np.diff(s)) <= FUZZ**2 * np.ptp(s)] for s in signals]
     levels = [_gaps(s) for s in stays]
     few = sum(map(len, stays)) < STAYS * sum(map(len, signals)) or sum(map(len, levels)) < LEVELS
-    if few or _even([_gaps(s) for s in signals], fine):
+    if few or _even(gaps, fine):
         return fine
     step = _smallest(levels)
     return step if _even(levels, step) else fine

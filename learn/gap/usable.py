@@ -217,7 +217,7 @@ def _rest(measured: Array, model: Array, acting: Array) -> float | None:
     """Return how far a joint is from its model at the end of a recording; None where either moves or something acts."""
     last, longer = (slice(-max(2, round(share * len(measured))), None) for share in (END, LONG_END))
     swing = float(np.ptp(measured))
-    moves = np.ptp(measured[last]) > STILL * swing or np.ptp(model[longer]) > NEARLY_STILL * swing
-    if moves or np.abs(acting[last]).max(initial=0.0) > 0.0:
+    rests = np.ptp(measured[last]) <= STILL * swing and np.ptp(model[longer]) <= NEARLY_STILL * swing
+    if not rests or np.abs(acting[last]).max(initial=0.0) > 0.0:
         return None
     return float(measured[last].mean() - 0.5 * (model[longer].max() + model[longer].min()))

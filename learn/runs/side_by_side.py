@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import multiprocessing
+import multiprocessing.connection
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -60,7 +62,7 @@ def side_by_side(
         try:
             yield from _as_they_come([pool.submit(_do, work, item) for item in items], steps, advance)
         except BrokenProcessPool:
-            said = "a process was killed, for memory perhaps; the same command goes on with what is left"
+            said = "a process was killed, for memory perhaps; the same command, with --resume if it has that, goes on"
             raise ChildProcessError(errno.ECHILD, said) from None
         finally:  # after an error or Ctrl-C nothing is waited for
             pool.shutdown(wait=False, cancel_futures=True)
@@ -93,11 +95,20 @@ def _threads_shared(jobs: int) -> Iterator[None]:
 
 
 def _begin(steps: Any) -> None:
-    """Begin a worker: Ctrl-C is its parent's to answer, which ends it."""
+    """Begin a worker: Ctrl-C is its parent's to answer, which ends it; one whose parent was killed ends too."""
     global _steps
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     _steps = steps
     start_warp()
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent is gone: who goes on with the work would meet it in the same folders."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    multiprocessing.connection.wait([parent.sentinel])
+    os._exit(1)
 
 
 def _do(work: Callable[[Item, Advance], Result], item: Item) -> Result:

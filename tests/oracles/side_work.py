@@ -28,3 +28,9 @@ def slept(item, advance):
     """Sleep so many seconds; return them."""
     time.sleep(item)
     return item
+
+
+def wrote(item, advance):
+    """Write the number of this process to a file, and sleep for ten minutes."""
+    item.write_text(f"{os.getpid()}")
+    time.sleep(600)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -139,10 +139,10 @@ def claims(found: Findings) -> list[Claim]:
     return [*out, *past]
 
 
-def gentler(found: Findings) -> list[str]:
-    """Return the policies past the thesis that press less than PCAP, with all of the interval, and succeed as often."""
-    said = {claim.text: claim for claim in claims(found)}
-    return [p for p in BEYOND if said[_LESS.format(p)].holds and said[_MORE.format(p)].holds is not False]
+def gentler(said: Sequence[Claim]) -> list[str]:
+    """Return the policies past the thesis that by these claims press less than PCAP and succeed as often."""
+    holds = {claim.text: claim.holds for claim in said}
+    return [p for p in BEYOND if holds[_LESS.format(p)] and holds[_MORE.format(p)] is not False]
 
 
 Place = Run | tuple[Run, Changes]
@@ -158,8 +158,8 @@ def _ratio(
     rows = [_values(found, place, column, pattern) for place in (above, below)]
     pairs = list(zip(*rows, strict=False))
     logs = interval([math.log(a / b) if a > 0.0 and b > 0.0 else math.nan for a, b in pairs])
-    mean_, low, high = (math.exp(min(x, MOST_LOG)) for x in (logs.mean, logs.low, logs.high))
-    got = Interval(mean_, low, high, logs.count)
+    middle, low, high = (math.exp(min(x, MOST_LOG)) for x in (logs.mean, logs.low, logs.high))
+    got = Interval(middle, low, high, logs.count)
     as_much = None if thesis is None else got.mean >= thesis
     return Claim(text, "above 1" if thesis is None else f"{thesis:g}", got, _on_side(got, 1.0), as_much)
 

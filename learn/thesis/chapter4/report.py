@@ -51,14 +51,15 @@ def scale(found: Findings) -> str:
 
 
 def _claims(found: Findings) -> ReportTable:
-    rows: list[tuple[object, ...]] = [(c.text, c.thesis, _cell(c.found, 2), c.verdict) for c in claims(found)]
+    said = claims(found)
+    rows: list[tuple[object, ...]] = [(c.text, c.thesis, _cell(c.found, 2), c.verdict) for c in said]
     note = (
         f"Ratios and differences of seed k of one policy and seed k of the other; mean and 95 % interval over seeds "
         f"(Student's t), of ratios geometric and by their logarithms. A claim follows where the whole interval of "
         f"{LEAST_SEEDS} seeds or more is on its side, and "
         "'by less' where the mean does not reach the thesis's figure. The hardest pattern is the one in which PPO "
         f"succeeds least: {found.hardest}. The thesis trained once, or does not say. Of the policies past the thesis "
-        f"{', '.join(gentler(found)) or 'none'} presses less than PCAP beyond the intervals and succeeds as often."
+        f"{', '.join(gentler(said)) or 'none'} presses less than PCAP beyond the intervals and succeeds as often."
     )
     return ReportTable("What follows", ("claim", "thesis", "here", "verdict"), rows, note)
 
@@ -230,7 +231,7 @@ def _numbers(found: Findings, said: list[Claim]) -> list[KeyNumber]:
 
 def _figures(found: Findings) -> list[ReportFigure]:
     seed, over = found.options.seed, "bars: mean over seeds, lines: 95 % interval."
-    steps = {"steps to the target [% of the limit]": _by_pattern(found, STEPS)}
+    steps = {"steps to the target\n[% of the limit]": _by_pattern(found, STEPS)}
     shown = [
         ("4_4", _top(found), f"Figure 4.4, top; {over}"),
         ("4_4_forests", _matrix(found), "Figure 4.4, bottom left: PCAP's success [%]."),

@@ -58,9 +58,9 @@ def _learn(found: Findings, folders: _Folders, registry: TaskRegistry, advance: 
 
 def _test(found: Findings, folders: _Folders, registry: TaskRegistry, advance: Callable[[int], None]) -> None:
     o = found.options
-    came = side_by_side(partial(_tested, o, registry), [(f, run) for run, f in folders.items()], o.jobs, advance)
-    found.rows |= dict(came)
-    found.rows = {run: found.rows[run] for run in folders}
+    tests = [(folder, run) for run, folder in folders.items()]
+    came = dict(side_by_side(partial(_tested, o, registry), tests, o.jobs, advance))
+    found.rows = {run: came[run] for run in folders}
 
 
 def _tested(

@@ -122,6 +122,7 @@ def test_a_joint_that_rests_beside_its_model_is_told(tmp_path):
     assert told("moving", (*2 * [-0.03 + 0.05 * np.sin(np.arange(300))], -0.03)) == ()
     case = write(tmp_path / "torque", [x - 0.03 for x in swing], HANGING, effort=np.zeros(300))
     assert len(rests_elsewhere(case, recordings(case), model)) == 1
+    assert rests_elsewhere(case, recordings(case), np.full_like(model, np.nan)) == ()  # a model that diverged
     assert rests_elsewhere(replace(case, fit="torque"), recordings(case), model) == ()
 
 

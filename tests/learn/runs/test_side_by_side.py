@@ -1,7 +1,10 @@
 """Work in processes of their own: every result once, every step counted, errors as they are, nobody waited for."""
 
 import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 from bough.learn.runs.side_by_side import side_by_side, usual_jobs
@@ -47,6 +50,42 @@ def test_whoever_stops_waits_for_nobody():
     began = time.monotonic()
     results.close()
     assert time.monotonic() - began < 60.0
+
+
+def test_workers_end_with_a_parent_that_is_killed(tmp_path):
+    """Kill the process that waits for two workers at work: both are gone soon, before they write what is not theirs."""
+    program = f"""
+from pathlib import Path
+from bough.learn.runs.side_by_side import side_by_side
+from oracles.side_work import wrote
+if __name__ == "__main__":
+    list(side_by_side(wrote, [Path({str(tmp_path)!r}) / n for n in "ab"], 2, print))
+"""
+    (tmp_path / "program.py").write_text(program)
+    path = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
+    parent = subprocess.Popen([sys.executable, tmp_path / "program.py"], env=os.environ | {"PYTHONPATH": path})
+    files = [tmp_path / name for name in "ab"]
+    assert waited(lambda: all(f.exists() and f.read_text() for f in files), 60.0)
+    parent.kill()
+    parent.wait()
+    workers = [int(f.read_text()) for f in files]
+    assert waited(lambda: not any(alive(w) for w in workers), 20.0)
+
+
+def waited(holds, seconds):
+    """Return whether something comes true in time."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end and not holds():
+        time.sleep(0.1)
+    return holds()
+
+
+def alive(process):
+    """Return whether a process is there, and not a zombie that nobody has taken leave of."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def test_a_cpu_has_a_job_a_thread_and_a_gpu_one(monkeypatch):

@@ -163,8 +163,8 @@ def test_claims_by_hand():
 
 def test_what_presses_less_and_succeeds_as_often_is_gentler():
     """A third of the force at equal success is; at half the success it is not."""
-    assert gentler(made(3, {"skin": 3.0, "pcap-rnn": 3.0}, {"pcap-rnn": 2})) == ["skin"]
-    assert gentler(made(3, {}, {})) == [] == gentler(made(2, {"skin": 3.0}, {}))
+    assert gentler(claims(made(3, {"skin": 3.0, "pcap-rnn": 3.0}, {"pcap-rnn": 2}))) == ["skin"]
+    assert gentler(claims(made(3, {}, {}))) == [] == gentler(claims(made(2, {"skin": 3.0}, {})))
 
 
 def test_ratios_are_averaged_by_their_logarithms():
