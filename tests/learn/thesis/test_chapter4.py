@@ -3,11 +3,10 @@
 import html
 import json
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 import tyro
 from bough.cli.reproduce import Reproduce
 from bough.learn.policies import train_report
@@ -15,72 +14,13 @@ from bough.learn.policies.compare import Episodes
 from bough.learn.policies.train import Trainer
 from bough.learn.runs.folder import RunFolder
 from bough.learn.tasks.clearing import make_reach
-from bough.learn.tasks.measures import REACH_COLUMNS
-from bough.learn.tasks.names import REACHING
-from bough.learn.tasks.ppo_settings import PRESETS as PPO
-from bough.learn.tasks.reach_settings import GROUPS, POLICIES, RECURRENT, ReachSettings, columns_of
-from bough.learn.tasks.registry import TaskKind, TaskRegistry, known_tasks
+from bough.learn.tasks.reach_settings import GROUPS, ReachSettings, columns_of
+from bough.learn.tasks.registry import TaskRegistry, known_tasks
 from bough.learn.thesis.chapter4.findings import SUCCESS, Findings, claims, gentler
 from bough.learn.thesis.chapter4.runs import AUTHOR_MPC, PATTERNS, Options, Run
 from bough.sim.base.errors import InputError
 from bough.sim.scenes.reach_scene import ReachScene
-from oracles.reach.task import LENGTH, Reach, Start
-
-TINY = replace(PPO["cpu"], num_envs=4, horizon=8, hidden=(8,), checkpoint_every=1)
-WIDTH = {"Ta": 1.0, "Tb": 0.5, "Tc": 1.5, "Td": 1.2, "fractal": 0.8}
-MEASURES = {column.measure for column in REACH_COLUMNS} - {"broken"}
-
-
-@dataclass(frozen=True)
-class Trees:
-    """What chapter 4 sets of the trees."""
-
-    forest: str = "Ta"
-    springs: str = "rudimentary"
-
-
-@dataclass(frozen=True)
-class PointSettings:
-    """What chapter 4 sets of a task; points start further off in some forests."""
-
-    policy: str = "pcap"
-    groups: tuple[str, ...] = ("place", "time")
-    scene: Trees = field(default_factory=Trees)
-
-    @property
-    def start(self):
-        return Start(WIDTH[self.scene.forest])
-
-
-class PointTask(Reach):
-    """The point mass with the measures of ``reach``: its cost is called a force, its steps far off ruptures."""
-
-    metrics = tuple(sorted(MEASURES))
-
-    def step(self, actions):
-        observations, reward, dones, extras = super().step(actions)
-        log = extras["log"]
-        own = {name: torch.zeros(self.num_envs) for name in MEASURES}
-        own |= {"return": log["return"], "success": log["success"], "force": -log["return"], "rupture": log["breach"],
-                "duration": 1.0 - log["steps_clear"] / LENGTH}  # fmt: skip
-        return observations, reward, dones, extras | {"log": own}
-
-    def strata(self):
-        return {name: torch.arange(self.num_envs) % 5 == k for k, name in enumerate(PATTERNS)}
-
-    def targets(self):
-        return torch.arange(self.num_envs) // 5
-
-
-def make(name, settings, **how):
-    return PointTask(settings, **how)
-
-
-def points():
-    """Return a registry in which ``reach`` is the point mass."""
-    presets = {"cpu": PointSettings()}
-    kind = TaskKind(REACHING, ("place", "time"), presets, make, REACH_COLUMNS, {"cpu": TINY}, 10, POLICIES, RECURRENT)
-    return TaskRegistry((kind,))
+from oracles.reach.points import TINY, points
 
 
 def command(out, *options):
