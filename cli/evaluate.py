@@ -29,7 +29,8 @@ class Evaluate:
         seed: Seed of the sets; no world of training is ever among them.
         device: cpu, cuda or cuda:N; a GPU if there is one.
         baselines: Policies to compare with in the same worlds: no action, random actions, and for reach sampling MPC
-            without the tree; the option without a name leaves them out.
+            without the tree (mpc) and planning in the simulation itself (mpc-tree, minutes a set); the option without
+            a name leaves them out.
         all_scenes: Test in scenes that training leaves out as hardly possible for one arm, too (firm wood, deep or
             many branches); writes evaluation_all_scenes.json and .md instead.
         set: Settings of the task that are others in the tests, name=value, such as forest=Tb; writes
@@ -46,7 +47,7 @@ class Evaluate:
     worlds: int | None = None
     seed: int = 0
     device: str | None = None
-    baselines: tuple[Literal["zero", "random", "mpc"], ...] = ("zero", "random")
+    baselines: tuple[Literal["zero", "random", "mpc", "mpc-tree"], ...] = ("zero", "random")
     all_scenes: bool = False
     set: tuple[str, ...] = ()
     against: tuple[Path, ...] = ()

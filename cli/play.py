@@ -30,9 +30,9 @@ class Play:
 
     Attributes:
         policy: Folder that bough train wrote, or zero (no action), random (actions drawn uniformly)
-            or mpc (for reach: sampling MPC without the tree).
+            or, for reach, mpc (sampling MPC without the tree) or mpc-tree (which knows it).
         out: Folder to write to.
-        task: Task of zero, random and mpc; a run has its own.
+        task: Task of those that are no run; a run has its own.
         seed: Seed of the world; bough evaluate's first world of the first set is that of seed 0.
         seconds: Simulated time; the whole episode if not given.
         fps: Pictures per simulated second; the film runs in real time.

@@ -76,7 +76,7 @@ class Chapter4:
         ablation_seeds: Trainings of policies with raw torques, among other trees, with other springs.
         seed: First seed of everything random.
         rounds: Rounds of simulated motions for figure B.7; 0 leaves it out.
-        mpc: Test sampling MPC without the tree, too, and count it to the oracle.
+        mpc: Test sampling MPC without the tree, too, which counts to the oracle, and MPC that knows it.
         jobs: Policies that are trained and tested at the same time, each in a process of its own; on a CPU as many as
             there are cores, but at most 4, and one on a GPU, if not given. Results do not depend on it.
         device: cpu, cuda or cuda:N; a GPU if there is one.

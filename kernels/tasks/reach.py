@@ -108,7 +108,7 @@ def gentle(world: int, v: View, s: Reach):
 @wp.func
 def rupturing(world: int, v: View, s: Reach):
     """r_p."""
-    return wp.where(s.felt[world] > s.rupture_force, -s.contact_gain, 0.0)
+    return wp.where(s.felt[world] > 2.0 * s.touch_force, -s.contact_gain, 0.0)
 
 
 @wp.func

@@ -31,8 +31,10 @@ Policy = Callable[["TensorDict"], torch.Tensor]
 Metrics = dict[str, torch.Tensor]
 
 JSON = "evaluation.json"
-UNTRAINED = ("zero", "random", "mpc")
-"""Policies that no run is needed for: no action, actions drawn evenly, sampling MPC without the tree."""
+PLANNED = ("mpc", "mpc-tree")
+"""Policies that plan: sampling MPC without the tree, and with it."""
+UNTRAINED = ("zero", "random", *PLANNED)
+"""Policies that no run is needed for: no action, actions drawn evenly, and those that plan."""
 ROOM = "No room"
 """Contacts that found no room in a world's buffer, so that nothing held the branches apart; 0 where all is well."""
 
@@ -112,9 +114,11 @@ def untrained(name: str, task: Task, seed: int) -> Policy:
         InputError: There is no such policy for this task, or what it needs is not installed.
     """
     from .mpc import mpc
+    from .mpc_tree import mpc_tree
 
     makers: dict[str, Callable[[], Policy]] = {
         "zero": lambda: zero(task), "random": lambda: random(task, seed), "mpc": lambda: mpc(task, seed),
+        "mpc-tree": lambda: mpc_tree(task, seed),
     }  # fmt: skip
     return makers[name]()
 
@@ -229,8 +233,8 @@ def evaluate(
             ``evaluation_all_scenes.json`` and so on.
         changes: Settings of the task that are others in the tests, ``name=value``.
         against: Folders of other runs of the task, tested in the same worlds and compared with it.
-        oracle: Folders of runs that decide, with the run, those of ``against`` and MPC if it is among the baselines,
-            which worlds are possible.
+        oracle: Folders of runs that decide, with the run, those of ``against`` and MPC where it is among the
+            baselines, which worlds are possible.
         progress: Called with the episodes' sets done since the last call.
 
     Raises:
@@ -254,7 +258,7 @@ def evaluate(
             for n, results in found.items()]  # fmt: skip
     episodes = {name: join([t.episodes for t in results]) for name, results in found.items()}
     rivals = [others[key][0] for key in dict.fromkeys(p.resolve() for p in against)]
-    ensemble = [*policies, *(name for name in baselines if name == "mpc")] if oracle else []
+    ensemble = [*policies, *(name for name in baselines if name in PLANNED)] if oracle else []
     beside = put_beside(episodes, rivals, ensemble, kind.table, seed)
     how = {"sets": sets, "worlds": worlds, "seed": seed, "device": device} | ({"set": changes} if changes else {})
     files = files_of(all_scenes, changes)

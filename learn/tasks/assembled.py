@@ -52,6 +52,24 @@ class Pace:
     reward_scale: float = 1.0
 
 
+def asking(simulator: ArmSimulator, pace: Pace, actions: wp.array, clock: Any, waiting: wp.array) -> list[Launches]:
+    """Return the launches that ask the servos for a speed, one for each control period of a policy step.
+
+    Args:
+        simulator: Whose servos are asked.
+        pace: How time passes.
+        actions: What is wanted, [worlds, dof].
+        clock: `kernels.tasks.parts.Clock`; ``clock`` and ``action_delay`` of it are read.
+        waiting: Actions that their latency holds back, [slots, worlds, dof].
+    """
+    device, arm = simulator.model.device, simulator._arm.kernel[1]
+    limit: wp.array = wp.array(simulator.arm.velocity_limit.astype(np.float32), dtype=wp.float32, device=device)
+    law, count = LAWS.index(pace.law), pace.control_periods
+    inputs = [[actions, limit, arm.qd, law, k, count, pace.speed_step, clock, waiting, arm.target]
+              for k in range(count)]  # fmt: skip
+    return [Launches([recorded(drive, simulator.model.num_worlds, given, device)]) for given in inputs]
+
+
 class AssembledTask(VecEnv):
     """Worlds of one arm and one tree each that restart by themselves; a subclass says where things stand.
 
@@ -168,17 +186,8 @@ class AssembledTask(VecEnv):
         """Note where observations are written, at once or to wait for their latency, and the servos' launches."""
         sim = self.simulator
         self._seen = self._warp.get("now", self._warp["observation"])
-        limit = sim.arm.velocity_limit.astype(np.float32)
-        self._speed_limit: wp.array = wp.array(limit, dtype=wp.float32, device=self._device)
         self._slot: wp.array = wp.array(sim.model.world_slot.astype(np.int32), device=self._device)
-        self._periods = [self._period(k) for k in range(self.pace.control_periods)]
-
-    def _period(self, period: int) -> Launches:
-        """Return the launch that asks the servos for a control period of the policy step, from 0."""
-        w, p, y = self._warp, self.pace, self._arm
-        inputs = [w["actions"], self._speed_limit, y.qd, LAWS.index(p.law), period, p.control_periods, p.speed_step,
-                  self._clock, w["waiting"], y.target]  # fmt: skip
-        return Launches([recorded(drive, self.num_envs, inputs, self._device)])
+        self._periods = asking(sim, self.pace, self._warp["actions"], self._clock, self._warp["waiting"])
 
     @property
     def episode_length_buf(self) -> torch.Tensor:

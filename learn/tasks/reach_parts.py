@@ -6,7 +6,7 @@ from typing import Any
 
 from .measures import REACH_COLUMNS
 from .parts import Group, Parts, Reward
-from .reach_settings import REWARDED_FOR_CONTACT, UNDER_BUDGET, ReachSettings, sizes_of
+from .reach_settings import REWARDED_FOR_CONTACT, RUPTURE_FORCE, UNDER_BUDGET, ReachSettings, sizes_of
 
 
 def reach_parts(settings: ReachSettings, dofs: int, *, test: bool = False) -> Parts:
@@ -48,7 +48,7 @@ def reach_numbers(settings: ReachSettings) -> dict[str, Any]:
     """Return the values of the numbers in `kernels.tasks.reach.Reach`."""
     same = ("force_budget", "within", "touch_force", "touch_noise", "distance_gain", "smooth_gain", "contact_gain")
     return {name: getattr(settings, name) for name in same} | {
-        "rupture_force": 2.0 * settings.touch_force,
+        "rupture_force": RUPTURE_FORCE,
         "cost_scale": settings.reward_scale,
         "step_periods": settings.control_periods,
         "periods": settings.episode_steps * settings.control_periods,

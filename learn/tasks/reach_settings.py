@@ -40,6 +40,10 @@ UNDER_BUDGET = ("ppo-lagrangian",)
 CONTROLS = ("nominal", "plai", "s3ec")
 """Laws of control; all take an action as a change of joint speeds."""
 
+RUPTURE_FORCE = 80.0
+"""Force above which a control period counts as a rupture in tests [N], whatever a policy is rewarded for: thesis 4.5,
+twice its f_u."""
+
 TEST_WORLDS = 300
 """Worlds of a test set: 60 targets in five occlusion patterns."""
 

@@ -65,6 +65,11 @@ class ArmArrays:
         self.lost = views["lost"]
 
     @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the arrays of ArmState; the worlds are the first dimension of each, of ``waiting`` the second."""
+        return tuple(self._state._cls.vars)
+
+    @property
     def kernel(self) -> tuple[Any, Any, Any]:
         """The Warp structs Arm, ArmState and ArmWork."""
         return self.constants, self._state, self._work

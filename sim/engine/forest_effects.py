@@ -262,6 +262,16 @@ class ForestEffects(Mapping[str, Mapping[str, torch.Tensor]]):
     # ---- what the simulator asks for -----------------------------------------------------------------------------
 
     @property
+    def memory(self) -> arrays.LaneArray:
+        """What laws remember: rows of a vector for every link."""
+        return self._fields["memory"]
+
+    @property
+    def clock(self) -> arrays.LaneArray:
+        """Time of every slot since its start [s], float64."""
+        return self._clock
+
+    @property
     def time(self) -> torch.Tensor:
         """Time of every world since its start [s], a copy, float64, shape [worlds]."""
         return self._clock.torch[:, 0, 0, 0][self._slot]

@@ -17,7 +17,7 @@ from ...touch.forest import require_sklearn
 from ..chapter5.trainings import check_runs, learn_all, minutes, runs_under, write
 from . import touch
 from .findings import Findings
-from .runs import COMPARED, MPC, Changes, Options, Run, tested
+from .runs import COMPARED, MPC, MPC_TREE, Changes, Options, Run, tested
 
 LEARNING, TESTING, TOUCH = "learning", "testing", "figure B.7"
 Advance = Callable[[str, int], None]
@@ -67,7 +67,7 @@ def _test(found: Findings, folders: _Folders, registry: TaskRegistry, advance: _
     tests = [(folder, run, changes) for run, folder in folders.items() for changes in run.tests]
     came = dict(side_by_side(partial(_tested, o, registry), tests, o.jobs, advance))
     found.episodes = {(run, changes): came[run, changes]["trained"] for _, run, changes in tests}
-    found.mpc = next((episodes[MPC] for episodes in came.values() if MPC in episodes), None)
+    found.planned = {n: episodes[n] for episodes in came.values() for n in (MPC, MPC_TREE) if n in episodes}
 
 
 def _tested(

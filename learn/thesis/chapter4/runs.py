@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,19 +15,27 @@ from ...runs.folder import RunFolder
 from ...tasks.ppo_settings import PPOSettings, Preset
 from ...tasks.registry import TaskRegistry
 
+Changes = tuple[str, ...]
+
 TASK = "reach"
 FORESTS = ("Ta", "Tb", "Tc", "Td")
 FRACTAL = "fractal"
 THESIS = ("ppo", "cpo", "pcap")
-BEYOND = ("pcap-rnn", "ppo-lagrangian", "skin")
+GENTLER = "pcap-rnn-20N"
+"""Recurrent PCAP whose flag and reward are at 20 N instead of 40."""
+BEYOND = ("pcap-rnn", GENTLER, "ppo-lagrangian", "skin")
 """Policies that are not the thesis's."""
+CHANGED: Mapping[str, tuple[str, Changes]] = {GENTLER: ("pcap-rnn", ("touch_force=20",))}
+"""Policies that are another with changed settings."""
 COMPARED = (*THESIS, *BEYOND)
 """Policies that verdicts are about: trained with every seed."""
 TORQUES = ("ppo+", "cpo+")
 """Policies of figure B.4 beside PCAP."""
-MPC = "mpc"
+MPC, MPC_TREE = "mpc", "mpc-tree"
+"""Sampling MPC without the tree, and with it."""
 CPU_ITERATIONS = 150
-Changes = tuple[str, ...]
+PERIODS = 800
+"""Control periods of an episode (thesis 4.5: the step limit)."""
 Advance = Callable[[int], None]
 
 PATTERNS = ("turned by 285", "turned by 300", "turned by 310", "turned by 315", "turned by 320")
@@ -43,7 +51,7 @@ class Run:
     """A policy to train.
 
     Attributes:
-        policy: What it sees and is rewarded for.
+        policy: What it sees and is rewarded for, or one of `CHANGED`.
         forest: Trees that it is trained among.
         springs: Their springs.
         repeat: Which of several trainings that differ in their seed alone.
@@ -124,8 +132,8 @@ class Options:
         return (*compared, *ablations)
 
     def beside(self, run: Run, changes: Changes) -> tuple[str, ...]:
-        """Policies that are tested beside a run: sampling MPC without the tree, beside the first PPO."""
-        return (MPC,) if self.mpc and run == Run("ppo") and not changes else ()
+        """Policies that are tested beside a run: MPC, beside the first PPO."""
+        return (MPC, MPC_TREE) if self.mpc and run == Run("ppo") and not changes else ()
 
     def repeats(self, run: Run) -> tuple[Run, ...]:
         """Return a run with every seed that it is trained with."""
@@ -135,8 +143,9 @@ class Options:
     def settings(self, run: Run, registry: TaskRegistry) -> Any:
         """Return the settings of a run's task."""
         kind = registry.of(TASK)
-        settings = kind.of_policy(kind.presets[self.preset], run.policy)
-        return kind.changed(settings, (f"forest={run.forest}", f"springs={run.springs}"), "reproduce")
+        policy, changes = CHANGED.get(run.policy, (run.policy, ()))
+        settings = kind.of_policy(kind.presets[self.preset], policy)
+        return kind.changed(settings, (f"forest={run.forest}", f"springs={run.springs}", *changes), "reproduce")
 
     def plan(self, run: Run, registry: TaskRegistry) -> Plan:
         """Return what a run computes."""

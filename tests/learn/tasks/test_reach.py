@@ -87,12 +87,25 @@ def test_reward_is_equation_4_3(policy):
     np.testing.assert_allclose(view.clock.total.numpy(), expected, rtol=2e-6)
 
 
-def test_forces_of_control_periods_by_hand():
+def test_reward_is_forfeited_and_punished_by_the_force_of_touch():
+    """With f_u = 20 N: 1.2 times as much at 20 N felt, nothing at 21 and 40 N, -1.2 at 41 N, 30 cm off."""
+    parts = reach_parts(replace(SMALL, touch_force=20.0), 6)
+    felt = np.float32([20.0, 21.0, 40.0, 41.0])
+    view, own = worlds_at(parts, np.zeros((4, 3)), np.tile([0.3, 0.0, 0.0], (4, 1)), felt=felt)
+    rules, reward = kernels.Rules(), zeros(4)
+    rules.reward_scale = 1.0
+    wp.launch(parts.kernels().judge, dim=4, inputs=[view, own, rules, reward], device="cpu")
+    np.testing.assert_allclose(reward.numpy(), [1.2 * 1.668360, 0.0, 0.0, -1.2], rtol=2e-6)
+
+
+@pytest.mark.parametrize("touch_force", [40.0, 10.0])
+def test_forces_of_control_periods_by_hand(touch_force):
     """One link 30 and 40 N across (50 N), another 120 N beside it (130 N), then none: F, means of three, counts.
 
-    The hand of world 1 is 4.9 cm off from the third period on.
+    The hand of world 1 is 4.9 cm off from the third period on. Above 80 N is one period whatever force the policy's
+    flag is set by: policies are compared by what they do, not by what they were rewarded for.
     """
-    parts = reach_parts(SMALL, 6)
+    parts = reach_parts(replace(SMALL, touch_force=touch_force), 6)
     view, own = worlds_at(parts, np.zeros((2, 3)), [[1.0, 0, 0], [0.06, 0, 0]])
     composed = parts.kernels()
     felt = []

@@ -31,9 +31,10 @@ class Trees:
 
 @dataclass(frozen=True)
 class PointSettings:
-    """What chapter 4 sets of a task; points start further off in some forests."""
+    """What chapter 4 sets of a task; points start further off in some forests, and feel nothing."""
 
     policy: str = "pcap"
+    touch_force: float = 40.0
     groups: tuple[str, ...] = ("place", "time")
     scene: Trees = field(default_factory=Trees)
 
