@@ -216,6 +216,7 @@ CHECKS: dict[str, Callable[[str, bool], dict[str, Any]]] = {
 ARM: dict[str, Callable[[str, bool], dict[str, Any]]] = {
     "arm, steps": gpu_arm.check_arm_step,
     "arm, copies": gpu_arm.check_copies,
+    "arm, planning": gpu_arm.check_planning,
     "arm, shares": gpu_arm.measure_shares,
     "arm, embedding": gpu_arm.measure_embedding,
 }

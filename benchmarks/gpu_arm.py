@@ -76,6 +76,26 @@ def check_copies(device: str, quick: bool) -> dict[str, Any]:
     return {"copies": names, "ok": not names}
 
 
+def check_planning(device: str, quick: bool) -> dict[str, Any]:
+    """Try a policy step in copies of all worlds of ``reach``, then do it: the same bits; time of a copy and a step."""
+    from bough.learn.tasks.clearing import make_reach
+    from bough.learn.tasks.imagined import ImaginedWorlds
+    from bough.learn.tasks.reach_settings import ReachSettings
+
+    worlds, count = (10, 2) if quick else (300, 32)
+    task = make_reach("reach", ReachSettings(), num_envs=worlds, seed=1, device=device, test=True)
+    imagined = ImaginedWorlds(task, count, 80.0)
+    for _ in range(10):
+        task.step(task.actions.fill_(0.5))
+    imagined.take()
+    tried = torch.full((worlds * count, task.num_actions), 0.5, device=task.device)
+    imagined.step(tried)
+    task.step(task.actions)
+    same = torch.equal(imagined.simulator.q.unflatten(0, (worlds, count))[:, 0], task.simulator.q)
+    times = {"take_s": _seconds(imagined.take, device, 3), "step_s": _seconds(lambda: imagined.step(tried), device, 3)}
+    return {"worlds": worlds, "copies": count, **times, "simulator_bytes": imagined.simulator.nbytes, "ok": same}
+
+
 def measure_shares(device: str, quick: bool) -> dict[str, Any]:
     """Policy steps per second, and how they divide into physics, perception and learning's own forward pass."""
     worlds, count = (16, 2) if quick else (6144, 20)

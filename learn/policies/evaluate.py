@@ -113,7 +113,7 @@ def untrained(name: str, task: Task, seed: int) -> Policy:
     Raises:
         InputError: There is no such policy for this task, or what it needs is not installed.
     """
-    from .mpc import mpc
+    from .mpc_kinematics import mpc
     from .mpc_tree import mpc_tree
 
     makers: dict[str, Callable[[], Policy]] = {

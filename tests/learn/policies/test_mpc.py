@@ -8,7 +8,7 @@ import pytest
 import torch
 from bough.cli.main import main
 from bough.learn.policies.evaluate import evaluate, first_episodes, untrained
-from bough.learn.policies.mpc import HandKinematics
+from bough.learn.policies.mpc_kinematics import HandKinematics
 from bough.learn.policies.train import Plan, train
 from bough.learn.runs.threads import one_thread
 from bough.learn.tasks.clearing import make_reach
