@@ -1,8 +1,8 @@
 """Model predictive control that knows the tree: plans are tried in copies of the simulation itself.
 
 The other end from `mpc_kinematics`: what perfect knowledge of geometry, springs, state and servos is worth. The
-sampling is the same; a step of the plan is the simulation's, and it costs the same and, of the norm F of the net contact
-forces of all links in the step's control periods,
+sampling is the same; a step of the plan is the simulation's, and it costs the same and, of the norm F of the net
+contact forces of all links in the step's control periods,
 
     FORCE mean(F) + RUPTURE (share of the periods with F above 80 N, which counts as a rupture)
 """
