@@ -20,8 +20,7 @@ from ...sim.arms.simulator import ArmSimulator
 from ...sim.base.thread_pool import Launches, recorded
 from ...sim.base.types import Array
 from ...sim.pictures.tracer import View
-from .final import FinalObservation
-from .memory import copies, put_back, simulator_tensors
+from .memory import FinalObservation, copies, put_back, simulator_tensors
 from .overlaps import Overlaps
 from .parts import Parts
 

@@ -14,7 +14,7 @@ from ....sim.base.types import Array
 from ....sim.scenes.scene import fork_height, rest_capsules
 from ....sim.trees.tree import Tree
 from ...reports.figures import ALARM, FAINT, MEASURED, MODEL, NOISE, WIDTH, styled
-from ..chapter5.findings import Interval
+from ..common.interval import Interval
 
 Numbers = Mapping[str, Mapping[str, Interval]]
 _COLOURS = (FAINT, "#56B4E9", MODEL, NOISE, ALARM, "#CC79A7", "#F0E442")

@@ -12,7 +12,7 @@ import numpy as np
 from ....sim.base.types import Array
 from ...policies.compare import Episodes, feasible, mean, relative_success
 from ...tasks.measures import REACH_COLUMNS
-from ..chapter5.findings import LEAST_SEEDS, Interval, interval
+from ..common.interval import LEAST_SEEDS, Interval, interval
 from .runs import BEYOND, COMPARED, GENTLER, MPC, PATTERNS, PERIODS, TORQUES, Changes, Options, Run
 
 COLUMNS = {column.name: column for column in REACH_COLUMNS}

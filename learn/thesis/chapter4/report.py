@@ -15,7 +15,7 @@ from ....sim.trees.tree import Tree
 from ...policies.compare import Episodes, by_kind, mean, relative_success
 from ...policies.tables import wilson
 from ...reports.page import KeyNumber, ReportContent, ReportFigure, ReportTable
-from ..chapter5.findings import LEAST_SEEDS, Interval
+from ..common.interval import LEAST_SEEDS, Interval
 from . import figures
 from .findings import ALL, COLUMNS, FORCE, RUPTURE, STEPS, SUCCESS, Claim, Findings, by_pattern, claims, gentler
 from .runs import AUTHOR_MPC, AUTHOR_TOUCH, BEYOND, COMPARED, FORESTS, FRACTAL, MPC, MPC_TREE, PATTERNS, TORQUES, Run

@@ -14,7 +14,7 @@ from ...runs.side_by_side import side_by_side
 from ...tasks.registry import TaskRegistry
 from ...touch.crossval import FOLDS
 from ...touch.forest import require_sklearn
-from ..chapter5.trainings import check_runs, learn_all, minutes, runs_under, write
+from ..common.trainings import check_runs, learn_all, minutes, runs_under, write
 from . import touch
 from .findings import Findings
 from .runs import COMPARED, MPC, MPC_TREE, Changes, Options, Run, tested

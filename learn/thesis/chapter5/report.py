@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 
 from ...policies.evaluate import Row
 from ...reports.page import KeyNumber, ReportContent, ReportFigure, ReportTable
+from ..common.interval import LEAST_SEEDS, Interval
 from . import embedding, figures
-from .findings import LEAST_SEEDS, Findings, Interval
+from .findings import Findings
 from .runs import (
     BASELINES,
     COLUMNS,

@@ -11,10 +11,10 @@ from ...policies.evaluate import Row
 from ...runs.folder import RunFolder
 from ...runs.side_by_side import side_by_side
 from ...tasks.registry import TaskRegistry
+from ..common.trainings import check_runs, learn_all, minutes, runs_under, write
 from . import embedding
 from .findings import Findings
 from .runs import TABLE_5_2, Options, Run, outcome
-from .trainings import check_runs, learn_all, minutes, runs_under, write
 
 LEARNING, TESTING, EMBEDDING = "learning", "testing", "table 5.3"
 Advance = Callable[[str, int], None]

@@ -21,12 +21,12 @@ from bough.learn.tasks.ppo_settings import PRESETS as PPO
 from bough.learn.tasks.registry import TaskKind, TaskRegistry
 from bough.learn.tasks.settings import GROUPS, PRESETS, TaskSettings, columns_of
 from bough.learn.thesis.chapter5 import embedding
-from bough.learn.thesis.chapter5.findings import Interval, interval
 from bough.learn.thesis.chapter5.pointnet import PointNet
 from bough.learn.thesis.chapter5.report import curve, verdict
 from bough.learn.thesis.chapter5.reproduce import check
 from bough.learn.thesis.chapter5.runs import REMOVED, TABLE_5_2, Options, Run, outcome
-from bough.learn.thesis.chapter5.trainings import learn, runs_under
+from bough.learn.thesis.common.interval import Interval, interval
+from bough.learn.thesis.common.trainings import learn, runs_under
 from bough.sim.base.console import start_warp
 from bough.sim.base.errors import InputError
 from bough.sim.scenes.scene import SceneSettings
