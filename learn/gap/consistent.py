@@ -297,6 +297,9 @@ def _unknown(d: Diagnosis) -> str:
     if d.may_be_off and d.explained > HALF:
         off = " and ".join(d.may_be_off)
         return f"{text}, but {off} may as well be off: the interval reaches where it does nothing."
+    if d.stretched and d.explained > HALF:
+        most = " and ".join(d.stretched)
+        return f"{text}, but only with {most} as strong as it is allowed to be: another law may be in its place."
     return f"{text}, which is not enough to claim it."
 
 

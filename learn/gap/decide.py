@@ -13,6 +13,7 @@ from ..replay.equation_error import fits_torque
 from ..systems.acting import Acting
 from .diagnosis import Settings, VerdictName
 from .evidence import ALARM, lacks_fit
+from .models.candidates import passes_neutral
 from .models.certain import doubtful
 from .models.fitted import QUIET, FittedModels, Model, penalty
 from .models.left_out import left_out_chi2, profiles
@@ -52,6 +53,8 @@ TWICE = 0.97
 KEPT, LOST = 0.6, 0.1
 #: Difference of the information criterion below which two models cannot be told apart.
 TIED = 12.0
+#: Share of its box from an end, on its own scale, within which a parameter is said to be at its bound.
+NEAR = 0.01
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,7 @@ class Decision:
         nearest: For ``unknown`` the closest name, not claimed; None if the data cannot support a verdict.
         unstable: What would change the verdict of measured joints, see `steady`.
         may_be_off: For ``unknown`` the labels of the preferred model's effects that may as well be off.
+        stretched: For ``unknown`` the labels of those that are as strong as their boxes allow, beside a misfit.
     """
 
     verdict: VerdictName
@@ -79,6 +83,7 @@ class Decision:
     nearest: str | None = None
     unstable: tuple[str, ...] = ()
     may_be_off: tuple[str, ...] = ()
+    stretched: tuple[str, ...] = ()
 
 
 def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
@@ -93,8 +98,8 @@ def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
     if verdict == "none":
         return Decision(verdict, models.base, model, models.base)
     nearest = None if base.unusable or not model.members else candidates[leading(models, model)].name
-    may_be_off = tuple(candidates[c].acting.label for c in off)
-    return Decision(verdict, models.base, model, model, nearest=nearest, may_be_off=may_be_off)
+    may_be_off, most = (tuple(candidates[c].acting.label for c in own) for own in (off, stretched(models, model)))
+    return Decision(verdict, models.base, model, model, nearest=nearest, may_be_off=may_be_off, stretched=most)
 
 
 def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> tuple[VerdictName, tuple[int, ...]]:
@@ -223,6 +228,13 @@ def known(fitted: FittedModels, model: Model) -> bool:
 
     One law at two joints of a branch imitates many unknown effects, so it must explain nearly all.
     """
+    if stretched(fitted, model):
+        return False
+    return _explains(fitted, model)
+
+
+def _explains(fitted: FittedModels, model: Model) -> bool:
+    """Return whether a model explains as much of the excess misfit as named effects must."""
     least = _least(fitted.contest.case)
     if isinstance(fitted.contest.case, BranchCase) and len(set(fitted.names(model))) < len(model.members):
         return fitted.explained(model) >= TWICE
@@ -231,6 +243,26 @@ def known(fitted: FittedModels, model: Model) -> bool:
     if isinstance(fitted.contest.case, JointCase):
         least = min([least, *(share for most, share in LITTLE_LEFT if fitted.reduced_chi2(model) <= most)])
     return fitted.explained(model) >= least
+
+
+def stretched(fitted: FittedModels, model: Model) -> tuple[int, ...]:
+    """Return the effects of a model that are as strong as their boxes allow, where it leaves more than noise.
+
+    A law in another's place grows until it is stopped. The strength is an effect's first parameter; an end of its box
+    at which it is off is no strength.
+    """
+    contest = fitted.contest
+    if fitted.reduced_chi2(model) <= QUIET:
+        return ()
+    out = []
+    for c in model.members:
+        k, spec = contest.candidates[c].columns[0], contest.candidates[c].specs[0]
+        low, high = float(contest.low[k]), float(contest.high[k])
+        share = (float(model.fit.batch.free[0, k]) - low) / (high - low)
+        both = passes_neutral(spec, contest.parameters[k])
+        if share >= 1.0 - NEAR or (both and share <= NEAR):
+            out.append(c)
+    return tuple(out)
 
 
 def leading(fitted: FittedModels, model: Model) -> int:

@@ -193,6 +193,7 @@ class Diagnosis:
             explain more than the tolerance; the gap is without these.
         unstable: What changes the verdict, such as ``a filter of 25 Hz names backlash``; empty if nothing does.
         may_be_off: For ``unknown`` the labels of tried effects whose interval reaches where they do nothing.
+        stretched: For ``unknown`` the labels of those that are as strong as their boxes allow, beside a misfit.
     """
 
     case: BranchCase | JointCase
@@ -232,6 +233,7 @@ class Diagnosis:
     fit: dict[str, str] = field(default_factory=dict)
     unstable: tuple[str, ...] = ()
     may_be_off: tuple[str, ...] = ()
+    stretched: tuple[str, ...] = ()
     geometry: Geometry = field(default_factory=Geometry)
     ahead: bool = False
 
@@ -264,6 +266,7 @@ class Diagnosis:
             "explained": finite(self.explained), "not_understood": list(self.not_understood),
             "remarks": list(self.remarks), "implausible": list(self.implausible), "fit": self.fit,
             "unstable": list(self.unstable), "may_be_off": list(self.may_be_off),
+            "stretched": list(self.stretched),
         }  # fmt: skip
 
 

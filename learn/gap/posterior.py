@@ -17,7 +17,7 @@ from ..inference.target import Target
 from ..replay.input_noise import Colour
 from ..systems.branch import Unknowns
 from ..systems.system import Parameter
-from .decide import Decision
+from .decide import NEAR, Decision
 from .diagnosis import Bound, Interval
 from .models.contest import Batch, Contest
 from .models.fitted import QUIET, Model
@@ -26,8 +26,6 @@ from .run import Run
 
 #: Parameters of each named effect, by its label.
 Intervals = dict[str, dict[str, Interval]]
-#: Share of its box from an end, on its own scale, within which a parameter is said to be at its bound.
-NEAR = 0.01
 #: Steps of fits to one recording alone.
 ALONE = 8
 

@@ -50,7 +50,8 @@ def record(
         size=0.0 if base.unusable else size(fitted, decision.model, base.motion), unusable=unusable,
         swing=swing_of(case, recordings, gap.test or range(len(recordings))),
         scatter=replicate_scatter(case, recordings), remarks=remarks,
-        unstable=decision.unstable, may_be_off=decision.may_be_off, geometry=beside, ahead=ahead,
+        unstable=decision.unstable, may_be_off=decision.may_be_off, stretched=decision.stretched,
+        geometry=beside, ahead=ahead,
     ))  # fmt: skip
 
 

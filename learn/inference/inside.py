@@ -17,8 +17,9 @@ import torch
 from ..systems.system import Parameter, free_of, values_of
 from .fit import Modes
 
-#: Nearest share of the box to an end at which particles start: a mode at the very end is at infinity in w.
-EDGE = 0.01
+#: Nearest share of the box to an end at which particles start, since a mode at the very end is at infinity in w: the
+#: parameter's standard deviation where that is less than the first, and no less than the second.
+EDGE, SHARPEST = 0.01, 1e-6
 #: Least precision of w. A density that is flat over the box has 3 / pi^2 = 0.30.
 FLAT = 0.3
 #: Nearest share of the box to an end that is told from it, in double precision.
@@ -49,9 +50,10 @@ class Inside:
         """Return vectors theta of coordinates w, shapes [..., D]."""
         return torch.where(self.bounded, self.low + self.width * torch.sigmoid(w), w)
 
-    def w(self, theta: torch.Tensor, edge: float = FINEST) -> torch.Tensor:
-        """Return coordinates w of vectors theta, no nearer to an end of a box than a share ``edge`` of it, [..., D]."""
-        share = ((theta - self.low) / self.width).clamp(edge, 1.0 - edge)
+    def w(self, theta: torch.Tensor, edge: torch.Tensor | None = None) -> torch.Tensor:
+        """Return coordinates w of vectors theta, no nearer to an end of a box than shares ``edge`` of it, [..., D]."""
+        edge = torch.full_like(theta, FINEST) if edge is None else edge
+        share = torch.minimum(torch.maximum((theta - self.low) / self.width, edge), 1.0 - edge)
         return torch.where(self.bounded, torch.logit(share), theta)
 
     def slope(self, w: torch.Tensor) -> torch.Tensor:
@@ -69,10 +71,11 @@ class Inside:
         return by_theta * self.slope(w) + torch.where(self.bounded, 1.0 - 2.0 * torch.sigmoid(w), 0.0)
 
     def modes(self, modes: Modes) -> Modes:
-        """Return modes in coordinates w, none nearer to an end of a box than `EDGE`."""
+        """Return modes in coordinates w, none nearer to an end of a box than `EDGE` or its own standard deviation."""
         if not bool(self.bounded.any()):
             return modes
-        w = self.w(modes.theta, EDGE)
+        spread = modes.precision.diagonal(dim1=-2, dim2=-1).clamp(min=1e-12).rsqrt()
+        w = self.w(modes.theta, (spread / self.width).clamp(SHARPEST, EDGE))
         slope = self.slope(w)
         flat = torch.diag(torch.where(self.bounded, FLAT, 0.0))
         precision = slope[:, :, None] * modes.precision * slope[:, None] + flat

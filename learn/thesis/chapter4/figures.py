@@ -17,7 +17,7 @@ from ...reports.figures import ALARM, FAINT, MEASURED, MODEL, NOISE, WIDTH, styl
 from ..common.interval import Interval
 
 Numbers = Mapping[str, Mapping[str, Interval]]
-_COLOURS = (FAINT, "#56B4E9", MODEL, NOISE, ALARM, "#CC79A7", "#F0E442")
+_COLOURS = (FAINT, "#56B4E9", MODEL, NOISE, ALARM, "#CC79A7", "#F0E442", "#E69F00", "#000000")
 
 
 @styled
@@ -35,6 +35,7 @@ def patterns_figure(panels: Mapping[str, Numbers], marks: Mapping[str, tuple[str
         if label in marks:
             name, values = marks[label]
             ax.plot(np.arange(len(values)), values, "D", color=MEASURED, markersize=5, label=name)
+        ax.set_ylim(0.0, 105.0 if label.startswith("success") else None)  # Student's intervals of shares reach beyond
     figure.legend(*_legend(figure), loc="outside upper center", ncols=4)
     return figure
 
@@ -48,7 +49,7 @@ def groups_figure(panels: Mapping[str, Mapping[str, Interval]]) -> Figure:
     """
     figure = Figure(figsize=(WIDTH, 2.8), layout="constrained")
     for ax, (label, values) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
-        for k, (value, colour) in enumerate(zip(values.values(), _COLOURS, strict=False)):
+        for k, (value, colour) in enumerate(zip(values.values(), _COLOURS[: len(values)], strict=True)):
             ax.bar(k, value.mean, 0.7, yerr=_half(value), color=colour, ecolor=MEASURED)
         ax.set_xticks(range(len(values)), [name.replace(", ", ",\n") for name in values])
         ax.set_ylabel(label)
@@ -103,7 +104,7 @@ def roc_figure(kinds: Mapping[str, Mapping[str, Any]], thesis: Mapping[str, tupl
 
 def _bars(ax: Axes, numbers: Numbers) -> None:
     width = 0.8 / len(numbers)
-    for k, ((name, values), colour) in enumerate(zip(numbers.items(), _COLOURS, strict=False)):
+    for k, ((name, values), colour) in enumerate(zip(numbers.items(), _COLOURS[: len(numbers)], strict=True)):
         place = np.arange(len(values)) + (k - 0.5 * (len(numbers) - 1)) * width
         means = [v.mean for v in values.values()]
         ax.bar(place, means, width, yerr=[_half(v) for v in values.values()], color=colour, ecolor=MEASURED, label=name)

@@ -11,7 +11,7 @@ from bough.learn.cases.case import BranchCase, load_case
 from bough.learn.cases.noise import estimate_noise
 from bough.learn.gap import prepare as preparing
 from bough.learn.gap.consistent import stand_in
-from bough.learn.gap.decide import Decision
+from bough.learn.gap.decide import Decision, stretched
 from bough.learn.gap.diagnosis import Interval, Settings
 from bough.learn.gap.models.at_rest import Noise
 from bough.learn.gap.models.contest import Contest, activated
@@ -158,3 +158,30 @@ def test_deviations_follow_the_noise(tmp_path):
         own = found.parameters["cubic_stiffness@0"]["cubic_radm2"]
         widths.append(own.high - own.low)
     assert widths[1] > 2.0 * widths[0] and torch.isfinite(torch.tensor(widths)).all()
+
+
+@pytest.mark.parametrize(("share", "chi2", "left"), [(1.0, 2.0, True), (0.995, 2.0, True), (0.9, 2.0, False),
+                                                     (1.0, 1.1, False), (0.0, 2.0, False)])  # fmt: skip
+def test_an_effect_as_strong_as_its_box_allows_is_not_claimed_beside_a_misfit(share, chi2, left):
+    """A law in another's place grows until it is stopped; one that leaves noise, or is off at the low end, does not."""
+    strength, form = effect_of("hysteresis_boucwen").law("branch").parameters[:2]
+    parameters = [SimpleNamespace(low=s.low, high=s.high) for s in (strength, form)]
+    contest = SimpleNamespace(
+        candidates=[SimpleNamespace(columns=(0, 1), specs=(strength, form))], low=torch.zeros(2), high=torch.ones(2),
+        parameters=parameters,
+    )  # fmt: skip
+    fitted = SimpleNamespace(contest=contest, reduced_chi2=lambda model: chi2)
+    batch = SimpleNamespace(free=torch.tensor([[share, 1.0]]))
+    assert bool(stretched(fitted, Model((0,), SimpleNamespace(batch=batch)))) is left
+
+
+@pytest.mark.parametrize(("share", "left"), [(0.0, True), (1.0, True), (0.5, False)])
+def test_a_strength_of_either_sign_may_be_stopped_at_either_end(share, left):
+    """A spring that is a tenth as stiff about one axis is as stretched as one that is four times as stiff."""
+    specs = effect_of("anisotropic_stiffness").law("branch").parameters
+    parameters = [SimpleNamespace(low=-0.9, high=3.0)]
+    contest = SimpleNamespace(candidates=[SimpleNamespace(columns=(0,), specs=specs)], low=torch.zeros(1),
+                              high=torch.ones(1), parameters=parameters)  # fmt: skip
+    fitted = SimpleNamespace(contest=contest, reduced_chi2=lambda model: 2.0)
+    batch = SimpleNamespace(free=torch.tensor([[share]]))
+    assert bool(stretched(fitted, Model((0,), SimpleNamespace(batch=batch)))) is left
