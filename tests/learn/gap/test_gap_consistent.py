@@ -194,8 +194,8 @@ def test_the_reader_stumbles_over_pages_that_were_not_checked(cases) -> None:
 
 PLAIN = {"verdict": "none", "recordings": 3, "base": 0.0105, "repaired": None, "floor": 0.01, "swing": 1.0, "p": 0.4,
          "explained": 0.2, "chi2": 1.1, "size": 0.001, "count": 1, "broken": None, "remark": False, "unusable": None,
-         "scatter": None, "unstable": False, "may_be_off": False, "stretched": False, "implausible": False, "askew": (0.0, 1.0),
-         "instead": ""}  # fmt: skip
+         "scatter": None, "unstable": False, "may_be_off": False, "stretched": False, "implausible": False,
+         "askew": (0.0, 1.0), "instead": ""}  # fmt: skip
 NAMED = PLAIN | {"verdict": "effects", "p": 1e-9, "explained": 0.95, "chi2": 5.0, "repaired": 0.0101, "base": 0.03}
 
 
