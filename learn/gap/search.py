@@ -10,7 +10,7 @@ from .geometry import add_nuisances, in_doubt
 from .models.at_rest import Noise, noise_of_neighbours, noise_of_repeats
 from .models.contest import Batch
 from .models.fitted import FittedModels, Model
-from .models.levels import LEADERS, better_of, first_level, moved, next_level, reduced, refitted
+from .models.levels import LEADERS, better_of, first_level, mirrored, moved, next_level, reduced, refitted
 from .models.nested import close, fitted_again, rebased
 from .models.nuisance import Nuisances
 from .models.refit import Fits
@@ -78,6 +78,7 @@ def _searched(base: Base, evidence: Evidence, run: Run) -> Searched:
     with run.timed("fits"):
         fitted_again(fitted, 1)
         fitted.models += moved(fitted.contest, fitted.of_size(1)[:2])
+        fitted.models += mirrored(fitted.contest, fitted.of_size(1)[:LEADERS])
         known = base.noise
         fitted = _recoloured(base, fitted)
     if base.noise is not known:
@@ -147,7 +148,7 @@ def _add_effects(fitted: FittedModels, run: Run) -> None:
             break
         fitted.contest.overdispersion = fitted.overdispersion
         further = next_level(fitted.contest, leaders, run.progress)
-        fitted.models += further + reduced(fitted.contest, further[:2])
+        fitted.models += further + reduced(fitted.contest, further[:2]) + mirrored(fitted.contest, further[:2])
         fitted_again(fitted, count, every=True)
 
 

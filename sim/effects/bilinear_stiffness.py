@@ -1,5 +1,7 @@
 """A spring of different stiffness for the two directions."""
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
@@ -35,6 +37,15 @@ def bilinear_joint(j: Any, p: Any, r: Any):
     return type(r)(type(r.torque)(o - k * ramp(j.angle.x, p.b), o, o), r.memory, where_neg(k, o, k), o)
 
 
+def other_side(values: Sequence[float]) -> tuple[Sequence[float], float]:
+    """Return the same spring about its axis told from its other side: K (1 + rel) there, 1 / (1 + rel) as much here.
+
+    Across that axis the one has K both ways and the other K (1 + rel).
+    """
+    relative, axis = values
+    return (-relative / (1.0 + relative), axis + math.pi if axis < math.pi else axis - math.pi), 1.0 + relative
+
+
 _REL = EffectParameter("relative", "1", -0.9, 3.0)
 _CORNER = EffectParameter(
     "corner_rad", "rad", lambda s: 1e-3 * s.angle, lambda s: s.angle, neutral=0.005, scale="log", tries=2, optional=True
@@ -53,6 +64,7 @@ EFFECT = register(
             "joint",
             (_REL, axis_parameter(circle=True, tries=8)),
             bilinear_stiffness,
+            mirror=other_side,
         ),
         joint=Law("joint", (_REL, _CORNER), bilinear_joint),
     )

@@ -132,6 +132,9 @@ class Law:
         active: Whether it may give energy, as a gust does; every other law takes energy or gives back what it stored.
         holds: Device function ``holds(j, p, r)`` of a law at a joint that keeps a branch off its rest, as dry friction
             does: of the torque ``r.torque`` what it holds, and the memory with which it does (`kernels.effects.held`).
+        mirror: Of values of the parameters other ones, and by what the joint's spring is to be multiplied: the same
+            motion in the plane in which the law acts, and another motion across it. A search that has ended on the
+            wrong side is led to the other; None where there is none.
     """
 
     kind: Kind
@@ -143,6 +146,7 @@ class Law:
     settles: bool = False
     active: bool = False
     holds: Any = None
+    mirror: Callable[[Sequence[float]], tuple[Sequence[float], float]] | None = None
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,8 @@ from dataclasses import replace
 
 import torch
 
+from ....sim.effects import effect_of
+from ...cases.case import BranchCase
 from .contest import Batch, Contest
 from .fitted import Model, penalty
 from .frequencies import frequency_probes
@@ -110,6 +112,46 @@ def moved(contest: Contest, models: Sequence[Model]) -> list[Model]:
         return []
     fits = fit(contest, Batch.joined(batches), sum(ITERATIONS[1:]))
     return [Model(m, fits.one(s), True) for s, m in enumerate(members)]
+
+
+def mirrored(contest: Contest, models: Sequence[Model]) -> list[Model]:
+    """Return models with one law told from its other side (`Law.mirror`), alone and beside their other effects.
+
+    Both sides fit alike in the plane in which such a law acts. A fit that ended on the wrong side does not cross over,
+    and takes a further effect for what it has wrong across the plane.
+    """
+    batches: list[Batch] = []
+    members: list[tuple[int, ...]] = []
+    for model in models:
+        for c in model.members:
+            turned = _mirrored(contest, model.fit.batch, c)
+            if turned is not None:
+                for key in {model.members, (c,)}:
+                    own = turned.copy()
+                    for other in set(model.members) - set(key):
+                        own.active[:, list(contest.candidates[other].columns)] = False
+                    batches.append(own)
+                    members.append(key)
+    if not batches:
+        return []
+    fits = fit(contest, Batch.joined(batches), sum(ITERATIONS[1:]))
+    return [Model(m, fits.one(s), True) for s, m in enumerate(members)]
+
+
+def _mirrored(contest: Contest, batch: Batch, candidate: int) -> Batch | None:
+    """Return a model, a batch of one, with a candidate told from its other side; None where its law has none."""
+    own, case = contest.candidates[candidate], contest.case
+    if not isinstance(case, BranchCase) or (mirror := effect_of(own.acting.name).law("branch").mirror) is None:
+        return None
+    out, values = batch.copy(), contest.values(batch)[0]
+    turned, factor = mirror([float(values[k]) for k in own.columns])
+    spring = f"stiffness {case.segment_name[own.acting.joint or 0]}"
+    joint = next(k for k, p in enumerate(contest.parameters) if p.name == spring)
+    pairs = [*zip(own.columns, turned, strict=True), (joint, factor * float(values[joint]))]
+    for column, value in pairs:
+        free = contest.parameters[column].free(value)
+        out.free[:, column] = min(max(free, float(contest.low[column])), float(contest.high[column]))
+    return out
 
 
 def _same_law(contest: Contest, candidate: int, members: Sequence[int]) -> list[int]:

@@ -15,12 +15,14 @@ from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.certain import covariance, doubtful, uncertain
 from bough.learn.gap.models.contest import Contest, activated
 from bough.learn.gap.models.fitted import FittedModels, Model
+from bough.learn.gap.models.levels import _mirrored, mirrored
 from bough.learn.gap.models.nested import close, fitted_again, from_contained, rebased, switches
 from bough.learn.gap.models.refit import evaluated, fit
 from bough.learn.gap.run import Run
 from bough.learn.hidden import hide
 from bough.learn.replay.recording import recordings
 from bough.learn.runs.threads import one_thread
+from bough.sim.effects.bilinear_stiffness import other_side
 from oracles.branch_case import make_branch_case
 
 FEW = ("dry_friction", "force_scale", "force_bias", "cubic_stiffness")
@@ -253,3 +255,48 @@ def test_a_further_effect_must_pay_where_it_was_not_fitted(whole):
 def test_a_second_effect_may_do_no_harm_where_it_was_not_fitted(gains, fitted, borne_out):
     """Keep right second effects of generated pairs, take out those that stood in for them; gains as measured."""
     assert bears_out(gains, fitted) is borne_out
+
+
+@pytest.mark.parametrize("relative", [-0.57, -0.2, 0.8, 2.5])
+def test_a_spring_told_from_its_other_side_is_the_same_in_its_plane(relative):
+    """K (1 + rel) one way and K the other, at +-0.1 rad about the axis; at right angles K, and then K (1 + rel)."""
+
+    def torque(stiffness, values, turn):
+        relative, axis = values
+        along = turn[0] * math.cos(axis) + turn[1] * math.sin(axis)
+        push = stiffness * relative * max(along, 0.0)
+        return np.array([stiffness * turn[0] + push * math.cos(axis), stiffness * turn[1] + push * math.sin(axis)])
+
+    (turned, other), factor = other_side((relative, 1.2))
+    for sign in (1.0, -1.0):
+        turn = 0.1 * sign * np.array([math.cos(1.2), math.sin(1.2)])
+        np.testing.assert_allclose(torque(10.0 * factor, (turned, other), turn), torque(10.0, (relative, 1.2), turn))
+    across = 0.1 * np.array([-math.sin(1.2), math.cos(1.2)])
+    np.testing.assert_allclose(torque(10.0 * factor, (turned, other), across), (1.0 + relative) * 10.0 * across)
+    (again, axis), back = other_side((turned, other))
+    np.testing.assert_allclose([again, axis % (2.0 * math.pi), factor * back], [relative, 1.2, 1.0])
+
+
+def test_a_fit_on_the_wrong_side_is_led_to_the_other(branch):
+    """A spring 0.43 times as stiff one way, without noise; fitted from its other side the best leaves a misfit.
+
+    Beside it an anisotropic spring makes up for what is wrong across the plane. Told from the other side the spring
+    alone leaves nothing, with the values that made the data.
+    """
+    contest = Contest(branch, recordings(branch), np.full(6, 0.003), ("bilinear_stiffness", "anisotropic_stiffness"))
+    names = [c.name for c in contest.candidates]
+    one, two = names.index("bilinear_stiffness"), names.index("anisotropic_stiffness")
+    truth = activated(contest, contest.base_batch(1), [(one,)])
+    truth.free[0, list(contest.candidates[one].columns)] = torch.tensor([-0.57, 1.2], dtype=torch.float64)
+    contest.measured = contest.simulate(contest.values(truth), truth.start)[0].double()
+    begun = activated(contest, _mirrored(contest, truth, one), [(one, two)])
+    astray = fit(contest, begun, 24)
+    pair = Model((one, two), astray, True)
+    found = {m.members: m for m in mirrored(contest, [pair])}
+    assert set(found) == {(one, two), (one,)}
+    single = found[one,]
+    only = fit(contest, activated(contest, _mirrored(contest, truth, one), [(one,)]), 24)
+    assert single.chi2 < 1e-3 * contest.num_samples < float(only.chi2[0])
+    values = contest.values(single.fit.batch)[0, list(contest.candidates[one].columns)]
+    np.testing.assert_allclose(values, [-0.57, 1.2], atol=0.01)
+    assert mirrored(contest, [Model((two,), astray)]) == []  # an anisotropic spring has no other side
