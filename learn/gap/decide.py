@@ -111,7 +111,8 @@ def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> 
     if small and not lacks_fit(models, tolerance * base.motion):
         return "none", ()
     off = doubtful(models, model)
-    return "effects" if not off and known(models, model) else "unknown", off
+    claimed = not off and not stretched(models, model) and known(models, model)
+    return "effects" if claimed else "unknown", off
 
 
 def _borne_out(fitted: FittedModels, model: Model) -> Model:
@@ -228,13 +229,6 @@ def known(fitted: FittedModels, model: Model) -> bool:
 
     One law at two joints of a branch imitates many unknown effects, so it must explain nearly all.
     """
-    if stretched(fitted, model):
-        return False
-    return _explains(fitted, model)
-
-
-def _explains(fitted: FittedModels, model: Model) -> bool:
-    """Return whether a model explains as much of the excess misfit as named effects must."""
     least = _least(fitted.contest.case)
     if isinstance(fitted.contest.case, BranchCase) and len(set(fitted.names(model))) < len(model.members):
         return fitted.explained(model) >= TWICE
