@@ -50,11 +50,13 @@ def test_kinova_s_driver_moves_and_stops_with_its_measurements(tmp_path):
         assert service.command("a", "velocity", np.array(ask))[0].reason == "stopped"
         for number, fail in enumerate(("talks", "freezes"), start=1):
             assert service.arm(number).accepted
+            before = len(peer.published)
             for _ in range(20):
                 assert service.command("a", "velocity", np.array(ask))[0].accepted
                 time.sleep(1 / 60)
-            assert peer.published[-1][2]["joint1"] == pytest.approx(np.degrees(0.2))
-            assert peer.published[-1][2]["joint4"] == pytest.approx(np.degrees(-0.4))
+            moving = [m for *_, m in peer.published[before:] if m["joint1"]]  # a busy machine may be late for the last
+            assert moving[-1]["joint1"] == pytest.approx(np.degrees(0.2))
+            assert moving[-1]["joint4"] == pytest.approx(np.degrees(-0.4))
             setattr(peer, fail, fail == "freezes")
             wait(lambda: service.guard.stop)
             assert "no measurement for 0.2" in service.guard.stop.cause

@@ -130,7 +130,14 @@ def test_the_gpu_benchmark_runs_on_a_cpu(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     report = json.loads((tmp_path / "gpu.json").read_text())
     assert len(report["checks"]) == 6 and all(check["ok"] for check in report["checks"].values())
-    assert list(report["arm"]) == ["arm, steps", "arm, copies", "arm, shares", "arm, embedding", "training"]
+    assert list(report["arm"]) == [
+        "arm, steps",
+        "arm, copies",
+        "arm, planning",
+        "arm, shares",
+        "arm, embedding",
+        "training",
+    ]
     assert all(section["ok"] for section in report["arm"].values())
     assert [run["finite_worlds"] for run in report["speed"]] == [16, 16, 16]
     assert (tmp_path / "gpu.md").read_text().count("| yes |") == 6
