@@ -80,11 +80,11 @@ def check_planning(device: str, quick: bool) -> dict[str, Any]:
     """Try a policy step in copies of all worlds of ``reach``, then do it: the same bits; time of a copy and a step."""
     from bough.learn.tasks.clearing import make_reach
     from bough.learn.tasks.imagined import ImaginedWorlds
-    from bough.learn.tasks.reach_settings import ReachSettings
+    from bough.learn.tasks.reach_settings import RUPTURE_FORCE, ReachSettings
 
     worlds, count = (10, 2) if quick else (300, 32)
     task = make_reach("reach", ReachSettings(), num_envs=worlds, seed=1, device=device, test=True)
-    imagined = ImaginedWorlds(task, count, 80.0)
+    imagined = ImaginedWorlds(task, count, RUPTURE_FORCE)
     for _ in range(10):
         task.step(task.actions.fill_(0.5))
     imagined.take()

@@ -42,18 +42,18 @@ class ImaginedWorlds:
         worlds = task.num_envs * count
         self._actions, self._waiting = (self._like(task._warp[name], worlds) for name in ("actions", "waiting"))
         self._clock: Any = Clock()
-        struct: Any = Clock
-        for name in struct.vars:
-            setattr(self._clock, name, self._like(getattr(task._clock, name), worlds))
+        for name in ("clock", "action_delay"):  # all of it that servos are asked by
+            theirs = getattr(task._clock, name)
+            mine = self._like(theirs, worlds)
+            setattr(self._clock, name, mine)
+            self._copies.carry(wp.to_torch(mine), wp.to_torch(theirs), 0)
+        self._copies.carry(wp.to_torch(self._waiting), wp.to_torch(task._warp["waiting"]), 1)
         self._periods = asking(self.simulator, task.pace, self._actions, self._clock, self._waiting)
-        self._views = self._spread(count)
         self.force, self.hard = torch.zeros((2, worlds), device=self.simulator.q.device)
 
     def take(self) -> None:
         """Bring all copies to the present state of their worlds."""
         self._copies.take()
-        for mine, theirs in self._views:
-            mine.copy_(theirs)
 
     def step(self, actions: torch.Tensor) -> None:
         """Act for one policy step, [worlds * count, dof]; write `force` and `hard`."""
@@ -73,11 +73,3 @@ class ImaginedWorlds:
         shape = (worlds,) if array.ndim == 1 else (*array.shape[:-2], worlds, array.shape[-1])
         made: wp.array = wp.zeros(shape, dtype=array.dtype, device=array.device)
         return made
-
-    def _spread(self, count: int) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        """Return views that broadcast clocks and what waits from the task's worlds to their copies."""
-        task = self._task
-        arrays = [(getattr(self._clock, n), getattr(task._clock, n), 0) for n in ("clock", "action_delay")]
-        arrays.append((self._waiting, task._warp["waiting"], 1))
-        return [(wp.to_torch(mine).unflatten(k, (-1, count)), wp.to_torch(theirs).unsqueeze(k + 1))
-                for mine, theirs, k in arrays]  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -78,9 +78,12 @@ class FinalObservation:
 
     def take(self, sense: Callable[[], None]) -> None:
         """Call what senses; keep the observation and put everything back."""
-        for now, kept in zip(self._now, self._kept, strict=True):
-            wp.copy(kept, now)
+        _copy_all(self._kept, self._now)
         sense()
         wp.copy(self._final, self._seen)
-        for now, kept in zip(self._now, self._kept, strict=True):
-            wp.copy(now, kept)
+        _copy_all(self._now, self._kept)
+
+
+def _copy_all(to: Sequence[Any], source: Sequence[Any]) -> None:
+    for one, other in zip(to, source, strict=True):
+        wp.copy(one, other)

@@ -54,8 +54,14 @@ class WorldCopies:
             breakable=source.rupture is not None, effects=tuple(source.effects),
         )  # fmt: skip
         self._launches = Launches([self._copy(*fields) for fields in self._lane_arrays()])
-        self._views = [(a.unflatten(k, (-1, count)), b.unsqueeze(k + 1)) for a, b, k in self._world_arrays()]
+        self._views: list[tuple[torch.Tensor, torch.Tensor]] = []
+        for mine, theirs, dim in self._world_arrays():
+            self.carry(mine, theirs, dim)
         self.take()
+
+    def carry(self, mine: torch.Tensor, theirs: torch.Tensor, dim: int) -> None:
+        """Have `take` copy what worlds have to their copies; the tensors are alike but for the worlds' dimension."""
+        self._views.append((mine.unflatten(dim, (-1, self.count)), theirs.unsqueeze(dim + 1)))
 
     def take(self) -> None:
         """Bring all copies to the present state of their worlds."""

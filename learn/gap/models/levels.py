@@ -6,7 +6,7 @@ gives the start points of the fits and ranks the candidates; successive halving 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import torch
@@ -80,15 +80,9 @@ def reduced(contest: Contest, models: Sequence[Model]) -> list[Model]:
 
     An effect that fails from the base may succeed from a model whose other parameters are already near.
     """
-    batches, members = [], []
-    for model in models:
-        for c in model.members:
-            own = model.fit.batch.copy()
-            own.active[:, list(contest.candidates[c].columns)] = False
-            batches.append(own)
-            members.append(tuple(m for m in model.members if m != c))
-    fits = fit(contest, Batch.joined(batches), ITERATIONS[-1])
-    return [Model(m, fits.one(s), True) for s, m in enumerate(members)]
+    begun = [(tuple(m for m in model.members if m != c), _without(contest, model.fit.batch, [c]))
+             for model in models for c in model.members]  # fmt: skip
+    return _settled(contest, begun, ITERATIONS[-1])
 
 
 def moved(contest: Contest, models: Sequence[Model]) -> list[Model]:
@@ -96,22 +90,18 @@ def moved(contest: Contest, models: Sequence[Model]) -> list[Model]:
 
     The base parameters absorb an effect at its own joint more than at the next one, which can hide it there.
     """
-    batches, members = [], []
+    begun = []
     for model in models:
         for c in model.members:
             for other in _same_law(contest, c, model.members):
-                own = model.fit.batch.copy()
+                own = _without(contest, model.fit.batch, [c])
                 old, new = (list(contest.candidates[k].columns) for k in (c, other))
-                own.active[:, old], own.active[:, new] = False, True
+                own.active[:, new] = True
                 own.free[:, new] = torch.maximum(
                     torch.minimum(model.fit.batch.free[:, old], contest.high[new]), contest.low[new]
                 )
-                batches.append(own)
-                members.append(tuple(sorted((set(model.members) - {c}) | {other})))
-    if not batches:
-        return []
-    fits = fit(contest, Batch.joined(batches), sum(ITERATIONS[1:]))
-    return [Model(m, fits.one(s), True) for s, m in enumerate(members)]
+                begun.append((tuple(sorted((set(model.members) - {c}) | {other})), own))
+    return _settled(contest, begun, sum(ITERATIONS[1:]))
 
 
 def mirrored(contest: Contest, models: Sequence[Model]) -> list[Model]:
@@ -120,22 +110,30 @@ def mirrored(contest: Contest, models: Sequence[Model]) -> list[Model]:
     Both sides fit alike in the plane in which such a law acts. A fit that ended on the wrong side does not cross over,
     and takes a further effect for what it has wrong across the plane.
     """
-    batches: list[Batch] = []
-    members: list[tuple[int, ...]] = []
+    begun = []
     for model in models:
         for c in model.members:
             turned = _mirrored(contest, model.fit.batch, c)
             if turned is not None:
                 for key in {model.members, (c,)}:
-                    own = turned.copy()
-                    for other in set(model.members) - set(key):
-                        own.active[:, list(contest.candidates[other].columns)] = False
-                    batches.append(own)
-                    members.append(key)
-    if not batches:
+                    begun.append((key, _without(contest, turned, set(model.members) - set(key))))
+    return _settled(contest, begun, sum(ITERATIONS[1:]))
+
+
+def _without(contest: Contest, batch: Batch, gone: Iterable[int]) -> Batch:
+    """Return a model, a batch of one, without some of its effects."""
+    out = batch.copy()
+    for c in gone:
+        out.active[:, list(contest.candidates[c].columns)] = False
+    return out
+
+
+def _settled(contest: Contest, begun: Sequence[tuple[tuple[int, ...], Batch]], iterations: int) -> list[Model]:
+    """Return models fitted from where they begin, given with their members; none for none."""
+    if not begun:
         return []
-    fits = fit(contest, Batch.joined(batches), sum(ITERATIONS[1:]))
-    return [Model(m, fits.one(s), True) for s, m in enumerate(members)]
+    fits = fit(contest, Batch.joined([batch for _, batch in begun]), iterations)
+    return [Model(members, fits.one(s), True) for s, (members, _) in enumerate(begun)]
 
 
 def _mirrored(contest: Contest, batch: Batch, candidate: int) -> Batch | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from ....sim.base.errors import InputError
 from ...policies.compare import Episodes, read_episodes
-from ...policies.evaluate import evaluate, files_of
+from ...policies.evaluate import PLANNED, evaluate, files_of
 from ...policies.train import Plan
 from ...runs.folder import RunFolder
 from ...tasks.ppo_settings import PPOSettings, Preset
@@ -31,7 +31,7 @@ COMPARED = (*THESIS, *BEYOND)
 """Policies that verdicts are about: trained with every seed."""
 TORQUES = ("ppo+", "cpo+")
 """Policies of figure B.4 beside PCAP."""
-MPC, MPC_TREE = "mpc", "mpc-tree"
+MPC, MPC_TREE = PLANNED
 """Sampling MPC without the tree, and with it."""
 CPU_ITERATIONS = 150
 PERIODS = 800
