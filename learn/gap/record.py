@@ -10,6 +10,7 @@ from .decide import Decision, predicts, size
 from .diagnosis import Diagnosis, Geometry, Rival, Where
 from .geometry import alone, explained_by, instead
 from .models.fitted import FittedModels
+from .models.memoryless import without_memory
 from .prepare import Base
 from .repaired import Repaired
 from .run import Run
@@ -35,6 +36,8 @@ def record(
         ahead = decision.verdict == "effects" and askew and predicts(fitted, decision.final)
     remarks = (*one_way(case, recordings, fitted.values(fitted.base)),
                *rests_elsewhere(case, recordings, repaired.base_output))  # fmt: skip
+    if decision.verdict == "unknown" and not base.unusable:
+        remarks += without_memory(fitted, decision.model)
     if askew and not base.unusable:
         remarks += ("Geometry and mountings that are not quite as the file says explain"
                     f" {percent(beside.share)} of the motion (furthest: {beside.furthest}).",)  # fmt: skip

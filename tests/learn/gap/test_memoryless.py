@@ -1,0 +1,119 @@
+"""What is left of torques, against a free function of angle and rate."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from bough.learn.cases.case import JointCase
+from bough.learn.gap import decide
+from bough.learn.gap.models import memoryless
+from bough.learn.gap.models.fitted import FittedModels, Model
+from bough.learn.gap.models.memoryless import memoryless_share, without_memory
+
+RUNS, SAMPLES = 3, 200
+
+
+def torque_case():
+    """Return a case of one joint that is fitted by its torques."""
+    case = object.__new__(JointCase)
+    for name, value in {"fit": "torque", "joints": (SimpleNamespace(name="axis"),),
+                        "inputs": (SimpleNamespace(joint="axis"),)}.items():  # fmt: skip
+        object.__setattr__(case, name, value)
+    return case
+
+
+def left_by(law, size, noise=1.0, names=("dry_friction",), base=1e6):
+    """Return models of a joint that swings, the one of which leaves noise and ``size`` times a law (angle, rate, t)."""
+    rng = np.random.default_rng(5)
+    t = np.linspace(0.0, 20.0, SAMPLES)
+    runs, left = [], []
+    for k in range(RUNS):
+        phase = rng.uniform(0.0, 6.0, 2)
+        q = np.sin(1.3 * t + phase[0]) + 0.6 * np.sin(0.37 * t + phase[1])
+        w = np.gradient(q, t)
+        runs.append(SimpleNamespace(t=t, input=np.stack([q, w, np.gradient(w, t)], axis=1)))
+        left.append(size * law(q, w, t + 20.0 * k) + noise * rng.standard_normal(SAMPLES))
+    residual = torch.as_tensor(np.array(left))[None, :, :, None]
+    candidates = [SimpleNamespace(name=n, columns=(0,)) for n in names]
+    contest = SimpleNamespace(case=torque_case(), recordings=runs, num_samples=RUNS * SAMPLES, candidates=candidates,
+                              residual=lambda _: residual)  # fmt: skip
+
+    def model(members, chi2):
+        one = torch.tensor([float(chi2)])
+        return Model(members, SimpleNamespace(batch=None, chi2=one, cost=one))
+
+    own = model(tuple(range(len(names))), (residual**2).sum())
+    return FittedModels(contest, model((), base), [own])
+
+
+def spot(q, w, _t):
+    return -np.sign(w) * np.exp(-(((q - 0.2) / 0.4) ** 2))
+
+
+def remembered(q, _w, _t):
+    """Return what a state that forgets within ten samples makes of where the joint has been."""
+    out = np.zeros_like(q)
+    for k in range(1, len(q)):
+        out[k] = 0.9 * out[k - 1] + 0.4 * np.sin(3.0 * np.cumsum(q)[k])
+    return out
+
+
+def test_friction_in_one_place_is_seen_and_a_law_of_the_past_is_not():
+    """Predict most of what a rubbing spot leaves and little of what a memory or the clock does."""
+    seen = left_by(spot, 30.0)
+    assert 0.6 < memoryless_share(seen, seen.models[0]) <= 1.0
+    for law in (remembered, lambda q, w, t: np.sin(7.3 * t)):
+        other = left_by(law, 30.0)
+        assert memoryless_share(other, other.models[0]) < 0.25
+
+
+def test_noise_is_no_function_of_the_motion():
+    """Predict nothing of white noise: its squares are N within 3 sqrt(2 N), and no spline may gain by chance."""
+    fitted = left_by(spot, 0.0, noise=1.1)  # 0.21 N beyond the noise that is known
+    assert memoryless_share(fitted, fitted.models[0]) < 0.05
+    quiet = left_by(spot, 0.0, noise=0.8)
+    assert memoryless_share(quiet, quiet.models[0]) == 0.0
+
+
+@pytest.mark.parametrize(
+    "names, share, left, claimed",
+    [
+        (("dry_friction",), 0.5, 0.04, True),  # a real arm's gears
+        (("dry_friction",), 0.5, 0.6, False),  # a seal that rubs in one place
+        (("dry_friction",), 0.3, 0.04, False),
+        (("dry_friction",), 0.9, 0.6, True),  # friction of another form
+        (("plastic_set",), 0.78, 0.0, False),  # a diode
+        (("dry_friction", "plastic_set"), 0.78, 0.0, False),
+        (("plastic_set",), 0.9, 0.0, True),
+    ],
+)
+def test_only_friction_is_named_beside_a_large_rest(monkeypatch, names, share, left, claimed):
+    """Name friction for less than other laws, unless what it leaves is a function of angle and rate."""
+    monkeypatch.setattr(decide, "memoryless_share", lambda fitted, model: left)
+    fitted = left_by(spot, 30.0, names=names)
+    own = fitted.models[0]
+    excess = (own.chi2 - fitted.contest.num_samples) / (1.0 - share)
+    fitted.base.fit.chi2[0] = fitted.contest.num_samples + excess
+    assert decide.known(fitted, own) is claimed
+
+
+def test_what_passes_for_noise_of_torques():
+    """Name at seven tenths where a chi-squared of 1.5 is left, as joints without an effect do; not at 1.6."""
+    for noise, claimed in ((1.2, True), (1.3, False)):
+        fitted = left_by(spot, 0.0, noise=noise, names=("plastic_set",))
+        own, samples = fitted.models[0], fitted.contest.num_samples
+        fitted.base.fit.chi2[0] = samples + (own.chi2 - samples) / 0.25  # explains 0.75
+        assert (own.chi2 / samples > 1.5) is not claimed and decide.known(fitted, own) is claimed
+
+
+def test_the_page_says_that_the_rest_has_no_memory(monkeypatch):
+    """Tell a user of a function of angle and rate with its share; say nothing of noise, of a memory, of a replay."""
+    seen, other = left_by(spot, 30.0), left_by(remembered, 30.0)
+    (text,) = without_memory(seen, seen.models[0])
+    assert text.startswith(f"{memoryless_share(seen, seen.models[0]):.0%} of the torques left")
+    assert without_memory(other, other.models[0]) == ()
+    quiet = left_by(spot, 0.5)
+    assert quiet.models[0].chi2 < 1.5 * quiet.contest.num_samples and without_memory(quiet, quiet.models[0]) == ()
+    monkeypatch.setattr(memoryless, "fits_torque", lambda case: False)
+    assert without_memory(seen, seen.models[0]) == ()
