@@ -212,7 +212,7 @@ def _contest(first: Contest, variant: Variant, base: Batch) -> Contest:
     if fits_torque(case):
         base = _within(contest, base, variant.recordings)
         contest.set_noise(np.hypot(sigma, motion_noise(case, contest.unknowns, contest.values(base)[0])))
-    return contest
+    return contest.finely() if case.dt > first.case.dt else contest  # with longer steps a law may mend the integration
 
 
 def _within(contest: Contest, batch: Batch, recordings: tuple[int, ...]) -> Batch:

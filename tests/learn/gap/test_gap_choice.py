@@ -13,14 +13,16 @@ from bough.learn.gap.consistent import sentence
 from bough.learn.gap.decide import Decision
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
+from bough.learn.gap.models.contest import SMALL, Contest
 from bough.learn.gap.models.fitted import FittedModels, Model
 from bough.learn.gap.models.refit import fit
 from bough.learn.gap.prepare import prepare
 from bough.learn.gap.run import Run
 from bough.learn.gap.search import Searched
-from bough.learn.gap.steady import at_half_rate, steadied, variants
+from bough.learn.gap.steady import _contest, at_half_rate, steadied, variants
+from bough.learn.inference.identify import pooled_sigma
 from bough.learn.replay.choice import choose, life_of_errors, moved_by_noise
-from bough.learn.replay.equation_error import EquationError, low_pass, recordings_of, thinned, window
+from bough.learn.replay.equation_error import EquationError, low_pass, noise_of, recordings_of, thinned, window
 from bough.learn.replay.motion_noise import motion_noise
 from bough.learn.runs.threads import one_thread
 from bough.learn.systems.acting import Acting
@@ -192,6 +194,17 @@ def test_treatments_of_recordings(tmp_path):
     assert half.dt == 2 * case.dt and (half.trajectories[0].output == case.trajectories[0].output[::2]).all()
     whole = case.trajectories[0].effort
     np.testing.assert_allclose(half.trajectories[0].effort[:-1], 0.5 * (whole[:-2:2] + whole[1:-1:2]), atol=1e-12)
+
+
+def test_half_the_rate_is_not_integrated_in_longer_steps(tmp_path):
+    """Take steps no longer where every second sample is left out: a law would mend the integration."""
+    case = choose(load_case(drive(tmp_path / "slow", spring=20.0, rate=50.0)), "replay").case
+    recordings, sigma = recordings_of(case), pooled_sigma(case, noise_of(case))
+    first = Contest(case, recordings, sigma, ("quadratic_drag",))
+    half = next(v for v in variants(case) if "rate" in v.what)
+    second = _contest(first, half, None)  # the fit of the base is for torques
+    steps = [c.case.dt / c._rollout(SMALL).substeps for c in (first, second)]
+    assert steps[1] <= steps[0]
 
 
 def search_of(case, names, settings):
