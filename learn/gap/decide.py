@@ -16,7 +16,7 @@ from .evidence import ALARM, lacks_fit
 from .models.candidates import passes_neutral
 from .models.certain import doubtful
 from .models.fitted import QUIET, FittedModels, Model, penalty
-from .models.left_out import left_out_chi2, profiles
+from .models.left_out import fitted_chi2, left_out_chi2, profiles, without_event
 from .models.memoryless import MEMORYLESS, QUIET_TORQUE, memoryless_share
 from .prepare import Base
 from .search import Searched
@@ -145,14 +145,16 @@ def pays(fitted: FittedModels, model: Model, inner: Model) -> bool:
     """Return whether a model predicts recordings that it was not fitted to better than one with an effect less.
 
     Of what it gains where it is fitted it must keep the share `KEPT` there, and in no experiment may it do harm: a law
-    that stands in for another pays for one kind of push with another. True where nothing can be left out: joints, and
-    branches with replicates of one experiment alone.
+    that stands in for another pays for one kind of push with another. The experiment in which something breaks is not
+    left out. True where nothing can be left out: joints, and branches with replicates of one experiment alone.
     """
-    groups = profiles(fitted.contest)
-    if not isinstance(fitted.contest.case, BranchCase) or len(groups) < 2:
+    contest, groups = fitted.contest, profiles(fitted.contest)
+    if not isinstance(contest.case, BranchCase) or len(groups) < 2:
         return True
-    outer, less = left_out_chi2(fitted.contest, [model, inner], groups)
-    return bears_out((less - outer).tolist(), inner.chi2 - model.chi2)
+    rest = without_event(contest, sorted(set(model.members) - set(inner.members)), model, groups)
+    outer, less = left_out_chi2(contest, [model, inner], rest)
+    own, other = fitted_chi2(contest, [model, inner], rest)
+    return bears_out((less - outer).tolist(), float((other - own).sum()))
 
 
 def predicts(fitted: FittedModels, model: Model) -> bool:
@@ -233,7 +235,7 @@ def known(fitted: FittedModels, model: Model) -> bool:
     """
     case = fitted.contest.case
     if isinstance(case, BranchCase) and len(set(fitted.names(model))) < len(model.members):
-        return fitted.explained(model) >= TWICE
+        return fitted.explained(model) >= TWICE and not _staircase(fitted, model)
     if fits_torque(case):
         return _known_torques(fitted, model)
     least = EXPLAINED if isinstance(case, BranchCase) else EXPLAINED_JOINT
@@ -251,6 +253,12 @@ def _known_torques(fitted: FittedModels, model: Model) -> bool:
         return True
     rubs = set(fitted.names(model)) == {"dry_friction"} and share >= EXPLAINED_FRICTION
     return rubs and memoryless_share(fitted, model) < MEMORYLESS
+
+
+def _staircase(fitted: FittedModels, model: Model) -> bool:
+    """Return whether a branch breaks twice in a model: two steps at two moments follow whatever drifts."""
+    names = fitted.names(model)
+    return any(names.count(n) > 1 and effect_of(n).law("branch").moment for n in names)
 
 
 def stretched(fitted: FittedModels, model: Model) -> tuple[int, ...]:

@@ -46,6 +46,7 @@ EFFECT = register(
                 ),
             ),
             partial_rupture,
+            moment="moment_s",
         ),
     )
 )

@@ -135,6 +135,8 @@ class Law:
         mirror: Of values of the parameters other ones, and by what the joint's spring is to be multiplied: the same
             motion in the plane in which the law acts, and another motion across it. A search that has ended on the
             wrong side is led to the other; None where there is none.
+        moment: Name of the parameter that is the moment on the clock at which the effect happens, once and for good;
+            empty where it has none.
     """
 
     kind: Kind
@@ -147,6 +149,7 @@ class Law:
     active: bool = False
     holds: Any = None
     mirror: Callable[[Sequence[float]], tuple[Sequence[float], float]] | None = None
+    moment: str = ""
 
 
 @dataclass(frozen=True)

@@ -302,6 +302,15 @@ def test_one_law_at_two_joints_must_explain_nearly_all():
         assert known(fitted, fitted.models[0]) is claimed
 
 
+def test_two_breaks_are_not_claimed():
+    """Claim no two breaks that explain everything, since a staircase of two steps is any drift; claim two frictions."""
+    for name, claimed in (("partial_rupture", False), ("dry_friction", True)):
+        fitted = field_of({(0, 2): 1000})
+        for k in (0, 2):
+            fitted.contest.candidates[k] = Candidate(SimpleNamespace(name=name, label=name), (k,), ())
+        assert known(fitted, fitted.models[0]) is claimed
+
+
 def test_what_fits_as_well_is_reported():
     """Report a rival within reach of the criterion, not one far behind."""
     fitted = field_of({(0,): 1050, (1,): 1055, (2,): 1500})
