@@ -124,7 +124,7 @@ def test_a_client_that_is_killed_leaves_the_arm_standing(served, kind):
         assert not joint_columns(log, "dq_cmd{}_rad_s")[-30:].any()
         assert float(log["q1_rad"][-1]) < 6.5
     else:
-        keeps_still(log)
+        keeps_still(served)
 
 
 def test_a_paused_network_stops_the_arm_and_its_late_commands_are_refused(served):
@@ -141,13 +141,13 @@ def test_a_paused_network_stops_the_arm_and_its_late_commands_are_refused(served
         for n in range(15, 30):
             stream.send(json.dumps({"robot_dof_vel": [0.3, 0, 0, 0, 0, 0], "seq": n, "tick": tick["tick"]}))
         time.sleep(0.5)
-        keeps_still(served.log())
+        keeps_still(served)
         wire.resume()
         end = time.monotonic() + 20
         while served.ask("/status")[1]["refused"].get("late", 0) < late + 15 and time.monotonic() < end:
             time.sleep(0.02)
         assert served.ask("/status")[1]["refused"]["late"] == late + 15
-        keeps_still(served.log())
+        keeps_still(served)
 
 
 def test_bad_commands_are_refused_with_a_reason_and_counted(served):

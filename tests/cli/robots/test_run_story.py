@@ -120,7 +120,7 @@ def test_a_run_that_is_killed_leaves_the_arm_standing_and_its_log_whole(served, 
     process.kill()
     process.wait()
     time.sleep(1.0)
-    keeps_still(served.log())
+    keeps_still(served)
     rows = read_run(tmp_path / "out")
     assert len(rows["tick"]) > 5 and (tmp_path / "out" / "run.csv").read_bytes().endswith(b"\n")
     assert served.ask("/status")[1]["state"] == "ready"

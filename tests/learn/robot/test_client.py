@@ -59,7 +59,7 @@ def test_a_client_that_says_nothing_lets_the_arm_stand(served):
             if n == 30:
                 break
         time.sleep(0.6)
-        keeps_still(served.log())
+        keeps_still(served)
         with client(served) as other, pytest.raises(RefusedError, match="held"):
             other.wait_free(timeout=0.1)
 
