@@ -130,7 +130,14 @@ class Leafy(Drag):
 # ---- steady_wind ---------------------------------------------------------------------------------------------------
 
 
-def _wind(direction: Array, profile: Callable[[Array], Array], veer: float = 0.0, **params: float) -> Draft:
+def _least(scale: Scale) -> float:
+    """Return the dynamic pressure [Pa] of a wind as fast as the branch: what is slower is little but a drag."""
+    return 0.5 * AIR * scale.speed**2
+
+
+def _wind(
+    scale: Scale, direction: Array, profile: Callable[[Array], Array], veer: float = 0.0, **params: float
+) -> Draft:
     """Draw a steady wind that is level; the strength is its dynamic pressure at the branch's base [Pa].
 
     The density of the air stands for leaves and twigs too: ten times that of air.
@@ -149,7 +156,7 @@ def _wind(direction: Array, profile: Callable[[Array], Array], veer: float = 0.0
         said = {"speed_mps": speed, "pressure_Pa": strength, "direction_rad": start, "veer_radpm": veer, **params}
         return Part(said, law=lambda: Drag(10 * AIR, wind), settled=True)
 
-    return Draft(make, 0.02, 5.0, 1000.0)
+    return Draft(make, _least(scale), max(5.0, _least(scale)), 1000.0)
 
 
 def _level(rng: Random) -> Array:
@@ -159,7 +166,7 @@ def _level(rng: Random) -> Array:
 def power_law(rng: Random, scale: Scale, joint: int) -> Draft:
     """Draw a speed that goes with a power of the height above the ground, a metre below the base."""
     alpha = float(rng.uniform(0.14, 0.4))
-    return _wind(_level(rng), lambda z: (z / TRUNK_PIVOT) ** alpha, exponent=alpha)
+    return _wind(scale, _level(rng), lambda z: (z / TRUNK_PIVOT) ** alpha, exponent=alpha)
 
 
 def log_law(rng: Random, scale: Scale, joint: int) -> Draft:
@@ -169,13 +176,13 @@ def log_law(rng: Random, scale: Scale, joint: int) -> Draft:
     def profile(height: Array) -> Array:
         return np.asarray(np.log(np.maximum(height, 1.01 * rough) / rough) / np.log(TRUNK_PIVOT / rough))
 
-    return _wind(_level(rng), profile, roughness_m=rough)
+    return _wind(scale, _level(rng), profile, roughness_m=rough)
 
 
 def veering(rng: Random, scale: Scale, joint: int) -> Draft:
     """Draw a wind whose direction turns with height (Ekman), and that is a little stronger above."""
     return _wind(
-        _level(rng), lambda z: (z / TRUNK_PIVOT) ** 0.2, veer=float(rng.choice([-1, 1]) * rng.uniform(0.1, 0.5))
+        scale, _level(rng), lambda z: (z / TRUNK_PIVOT) ** 0.2, veer=float(rng.choice([-1, 1]) * rng.uniform(0.1, 0.5))
     )
 
 
@@ -189,7 +196,7 @@ class Gusty(Drag):
     fading = True
 
 
-def _gust(rng: Random, swing: Callable[[Array], Array], **params: float) -> Draft:
+def _gust(rng: Random, scale: Scale, swing: Callable[[Array], Array], **params: float) -> Draft:
     """Draw a level gust ``swing`` of the time, about one at most; the strength is its largest dynamic pressure [Pa]."""
     direction = _level(rng)
 
@@ -202,7 +209,7 @@ def _gust(rng: Random, swing: Callable[[Array], Array], **params: float) -> Draf
         said = {"speed_mps": speed, "pressure_Pa": strength, "direction": direction.tolist(), **params}
         return Part(said, law=lambda: Gusty(10 * AIR, wind))
 
-    return Draft(make, 0.02, 5.0, 1500.0)
+    return Draft(make, _least(scale), max(5.0, _least(scale)), 1500.0)
 
 
 def waves(amplitude: Array, frequency: Array, phase: Array) -> Callable[[Array], Array]:
@@ -220,7 +227,7 @@ def sines(rng: Random, scale: Scale, joint: int) -> Draft:
     count = int(rng.integers(3, 6))
     amplitude = rng.uniform(0.4, 1.0, count)
     swing = waves(amplitude / amplitude.sum(), rng.uniform(0.2, 2.0, count), rng.uniform(0, 2 * np.pi, count))
-    return _gust(rng, swing, waves=count)
+    return _gust(rng, scale, swing, waves=count)
 
 
 def one_minus_cosine(rng: Random, scale: Scale, joint: int) -> Draft:
@@ -231,7 +238,7 @@ def one_minus_cosine(rng: Random, scale: Scale, joint: int) -> Draft:
         since = np.mod(time - late, period)
         return np.asarray(np.where(since < length, (1 - np.cos(2 * np.pi * since / length)) / 2, 0.0))
 
-    return _gust(rng, swing, period_s=period, length_s=length)
+    return _gust(rng, scale, swing, period_s=period, length_s=length)
 
 
 def dryden_spectrum(frequency: Array, corner: float) -> Array:
@@ -245,7 +252,7 @@ def dryden(rng: Random, scale: Scale, joint: int) -> Draft:
     edges = np.geomspace(0.03, 8.0, 61)
     frequency = np.sqrt(edges[1:] * edges[:-1])
     amplitude = np.sqrt(2 * dryden_spectrum(frequency, corner) * np.diff(edges))
-    return _gust(rng, waves(amplitude / 2.5, frequency, rng.uniform(0, 2 * np.pi, 60)), corner_Hz=corner)
+    return _gust(rng, scale, waves(amplitude / 2.5, frequency, rng.uniform(0, 2 * np.pi, 60)), corner_Hz=corner)
 
 
 FORMS = {

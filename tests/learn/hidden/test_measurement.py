@@ -10,7 +10,7 @@ import pytest
 import yaml
 from bough.learn.cases.case import load_case
 from bough.learn.hidden import hide
-from bough.learn.hidden.air_forms import Drag, dryden_spectrum, velocities
+from bough.learn.hidden.air_forms import FORMS, Drag, dryden_spectrum, velocities
 from bough.learn.hidden.branch import random_branch
 from bough.learn.hidden.drive import drive
 from bough.learn.hidden.forms import recipe
@@ -253,6 +253,15 @@ def test_profiles_of_wind() -> None:
     angle = np.unwrap(np.arctan2(wind[:, 1], wind[:, 0]))
     np.testing.assert_allclose(np.diff(angle), made.params["veer_radpm"] * np.array([1, 2]))
     assert made.settled
+
+
+@pytest.mark.parametrize("name", ["steady_wind", "wind_gust"])
+def test_no_wind_is_slower_than_the_branch(name: str) -> None:
+    """Draw no weaker wind than one as fast as the grasp point at its fastest: a slower one is little but a drag."""
+    for form in FORMS[name]:
+        draft = recipe(name, form)(np.random.default_rng(0), scale(), 0)
+        assert draft.make(draft.low).params["speed_mps"] == pytest.approx(scale().speed)
+        assert draft.low <= draft.start <= draft.high
 
 
 def blown(made: Part, time: np.ndarray) -> np.ndarray:
