@@ -29,7 +29,7 @@ FIRST = (
     "learn/gap/test_joint_intervals.py", "learn/hidden/test_forms.py", "cli/test_identify_story.py",
     "learn/gap/test_gap_joints.py", "learn/gap/test_gap_nested.py", "sim/arms/test_contact_worlds.py",
     "sim/arms/test_arm_effects.py", "sim/newton/test_newton_conformance.py", "cli/test_simulate_story.py",
-    "cli/test_hide_story.py", "kernels/test_ptx.py", "sim/engine/test_gpu_ready.py",
+    "cli/test_hide_story.py", "kernels/test_ptx.py", "sim/engine/test_gpu_ready.py", "sim/newton/test_newton_bridge.py",
     "sim/engine/test_simulator_effects.py", "learn/inference/test_coverage.py", "learn/inference/test_identify.py",
     "learn/thesis/test_chapter5.py", "learn/thesis/test_chapter4.py", "sim/engine/test_simulator.py",
     "kernels/effects/test_effects.py", "learn/systems/test_effect_systems.py", "sim/arms/test_contact.py",

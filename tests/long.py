@@ -38,7 +38,7 @@ LONG = {
     "sim/newton/test_newton_solver.py::test_states_are_shown_by": "compiles Newton's viewer, 9 s",
     "test_repository.py::test_examples_of_the_pages_run[push.md": _PAGES,
     "test_repository.py::test_examples_of_the_pages_run[touch.md": _PAGES,
-    "cli/test_diagnose_story.py::test_exam_is_marked_and_goes_on": "an exam of two cases; its parts are tested apart",
+    "cli/test_diagnose_story.py::test_exam_of_branches_is_marked": "an exam of a case; its parts are tested apart",
     "cli/test_diagnose_story.py::test_exam_on_joints_is_marked": "an exam of two cases; its parts are tested apart",
     "cli/test_diagnose_story.py::test_a_killed_diagnosis_reaches_the_same_verdict": _SEARCH,
     "cli/test_command_line.py::test_shells_complete_commands[zsh]": "the same for another shell (10 s)",

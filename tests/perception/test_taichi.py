@@ -8,12 +8,11 @@ import torch
 from bough.perception import embed, occlusion
 from bough.perception.frequencies import draw_frequencies
 
-ti = pytest.importorskip("taichi")
-
 
 @pytest.fixture(scope="module")
 def kernels():
-    """Start Taichi on one CPU thread."""
+    """Start Taichi on one CPU thread; it takes seconds to import, which a worker without these tests need not."""
+    ti = pytest.importorskip("taichi")
     ti.init(arch=ti.cpu, cpu_max_num_threads=1, log_level=ti.ERROR, offline_cache=False)
     import bough.perception.taichi_kernels as module
 

@@ -25,7 +25,7 @@ from oracles import json_page
 from scipy import stats
 
 #: Samples of a record where the whole chapter is run.
-SAMPLES = 40
+SAMPLES = 16
 
 
 @pytest.fixture(scope="module")
@@ -352,7 +352,7 @@ def command_of(out, *options):
 
 @pytest.fixture
 def sparse(monkeypatch):
-    """Keep of every sweep's values the ends, and what the report singles out; a third of the samples."""
+    """Keep of every sweep's values the ends, and what the report singles out; few samples."""
     for module in (prior, chapter3_report):
         monkeypatch.setattr(module, "TEMPERATURES", (prior.KT, prior.ETA_KT, prior.TEMPERATURES[-1]))
     monkeypatch.setattr(robust, "NOISES", (robust.NOISES[0], robust.NOISES[-1]))
