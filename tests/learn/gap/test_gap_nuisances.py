@@ -11,7 +11,7 @@ from bough.learn.gap import TOLERANCE
 from bough.learn.gap.decide import predicts
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.evidence import bootstrap_test, retested
-from bough.learn.gap.geometry import TRACKER, add_nuisances, alone, in_doubt, instead
+from bough.learn.gap.geometry import TRACKER, add_nuisances, alone, explained_by, in_doubt, instead
 from bough.learn.gap.models.at_rest import Noise, noise_of_neighbours, noise_of_repeats
 from bough.learn.gap.models.contest import Contest, activated
 from bough.learn.gap.models.fitted import FittedModels, Model
@@ -127,6 +127,19 @@ def test_recordings_left_out_leave_their_nuisances_out(contest):
     few.nuisance = replace(contest.nuisance, columns=contest.nuisance.columns[:, :half])
     wanted = evaluated(few, few.base_batch(1))
     assert float(evaluated(contest, batch).chi2[0]) == pytest.approx(float(wanted.chi2[0]), rel=1e-5)
+
+
+@pytest.mark.parametrize("off, possible", [("wood child", True), ("length child", False)])
+def test_only_what_was_measured_can_be_too_far_off(contest, off, possible):
+    """Take wood that bends by eight deviations more for wood; a length eight deviations off for impossible."""
+    noisy(contest)
+    add_nuisances(contest, contest.base_batch(1), doubted=True)
+    k = contest.nuisance.names.index(off)
+    free = evaluated(contest, contest.base_batch(1))
+    free.nuisance[0] = contest.nuisance.mean
+    free.nuisance[0, k] += 8.0
+    found = explained_by(contest, free, 100.0)
+    assert (found.chance > 0.01) is possible and (off in found.furthest) is not possible
 
 
 # ---- geometry and mountings -----------------------------------------------------------------------------------------
