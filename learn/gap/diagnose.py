@@ -9,7 +9,7 @@ from ...sim.base.errors import InputError
 from ...sim.base.files import output_folder
 from ...version import __version__
 from ..cases.case import BranchCase, JointCase, load_case
-from ..replay.choice import choose
+from ..replay.choice import Choice, choose
 from ..runs.checkpoint import Checkpoint, digest
 from ..runs.threads import one_thread
 from .decide import decide
@@ -28,12 +28,23 @@ from .where import locate, noise_seen
 
 
 def find_missing(case: BranchCase | JointCase, run: Run) -> Diagnosis:
-    """Return what the model of a case lacks: every stage takes the records of those before it.
+    """Return what the model of a case lacks.
+
+    Of joints that move faster than the filter of torques a replay is judged, and torques where that names nothing.
 
     Raises:
         InputError: The settings cannot be, or an effect that they name cannot act in such a case.
     """
     choice = choose(case, run.settings.fit)  # replay or torque, before anything depends on it
+    found = _judged(choice, run)
+    if found.verdict != "unknown" or not choice.torn:
+        return found
+    other = _judged(choice.turned(), replace(run, keep=replace(run.keep, part="turned-"), seconds={}))
+    return other if other.verdict == "effects" else found
+
+
+def _judged(choice: Choice, run: Run) -> Diagnosis:
+    """Return what the model lacks, fitted in one way: every stage takes the records of those before it."""
     case = choice.case
     check(case, run.settings)
     with run.timed("total"):

@@ -9,7 +9,7 @@ can be differentiated.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -45,11 +45,13 @@ class Choice:
         case: The case, with its ``fit``.
         reason: Why, in a phrase; empty for a branch, which is always replayed.
         other: The other way, where the data allow it too.
+        torn: Whether torques, of a motion faster than their filter, are judged where a replay names nothing.
     """
 
     case: BranchCase | JointCase
     reason: str = ""
     other: Fit | None = None
+    torn: bool = False
 
     @property
     def stated(self) -> dict[str, str]:
@@ -57,6 +59,12 @@ class Choice:
         if isinstance(self.case, BranchCase):
             return {}
         return {"method": self.case.fit, "reason": self.reason, "other": self.other or ""}
+
+    def turned(self) -> Choice:
+        """Return the other way, taken because this one names nothing."""
+        assert isinstance(self.case, JointCase) and self.other is not None
+        reason = f"a {self.case.fit}, which comes first ({self.reason}), names nothing"
+        return Choice(replace(self.case, fit=self.other), reason, self.case.fit)
 
 
 def choose(case: BranchCase | JointCase, wanted: Fit | None = None) -> Choice:
@@ -78,6 +86,10 @@ def choose(case: BranchCase | JointCase, wanted: Fit | None = None) -> Choice:
         return Choice(case, f"{lacking} was not measured")
     if case.stated:
         return Choice(case, "meta.yaml says so", _other(case.fit))
+    rough = roughness(case)
+    if rough is not None:
+        reason = f"every position and effort was measured, but {rough.reason}"
+        return Choice(replace(case, fit="replay"), reason, "torque", rough.fast)
     found, reason = _by_data(case)
     return Choice(replace(case, fit=found), reason, _other(found))
 
@@ -100,9 +112,6 @@ def missing(case: JointCase) -> str | None:
 
 def _by_data(case: JointCase) -> tuple[Fit, str]:
     """Return how a case with every position and effort is fitted, and why."""
-    rough = roughness(case)
-    if rough is not None:
-        return "replay", f"every position and effort was measured, but {rough}"
     life, length = life_of_errors(case), float(np.median([t.t[-1] for t in case.trajectories]))
     lives = f"an error of the model lives {life:.2g} s in recordings of {length:.2g} s"
     if life < LONG * length:
@@ -113,21 +122,34 @@ def _by_data(case: JointCase) -> tuple[Fit, str]:
     return "torque", f"every position and effort was measured, and {lives}, so a replay adds it up"
 
 
-def roughness(case: JointCase) -> str | None:
+class Rough(NamedTuple):
+    """Why a measured motion is not differentiated under the filter.
+
+    Attributes:
+        reason: In a phrase.
+        fast: Whether it could be, but for what is faster than the filter.
+    """
+
+    reason: str
+    fast: bool
+
+
+def roughness(case: JointCase) -> Rough | None:
     """Return why the measured motion cannot be differentiated under the filter, or None."""
     if any(len(t.t) < 3 * np.ceil(1.0 / (case.filter_hz * case.dt)) for t in case.trajectories):
-        return f"a recording is shorter than three periods of the filter's {case.filter_hz:.3g} Hz"
+        return Rough(f"a recording is shorter than three periods of the filter's {case.filter_hz:.3g} Hz", False)
     sigma = estimate_noise(case).sigma
     motion = np.concatenate([r.input for r in torque_recordings(case)])
+    fast = ""
     for k, joint in enumerate(case.joints):
         rate = float(motion[:, 3 * k + 1].std())
         columns = {o.quantity: c for c, o in enumerate(case.outputs) if o.joint == joint.name}
         noise = sigma[columns["position"]] * 2.0 * np.pi * case.filter_hz / np.sqrt(3.0)
         if min(noise, sigma[columns["velocity"]] if "velocity" in columns else np.inf) > NOISY * rate:
-            return f"the rate of {joint.name} is noise under the filter's {case.filter_hz:.3g} Hz"
+            return Rough(f"the rate of {joint.name} is noise under the filter's {case.filter_hz:.3g} Hz", False)
         if _above(case, columns["position"]) - noise > FAST * rate:
-            return f"{joint.name} moves faster than the filter's {case.filter_hz:.3g} Hz"
-    return None
+            fast = fast or f"{joint.name} moves faster than the filter's {case.filter_hz:.3g} Hz"
+    return Rough(fast, True) if fast else None
 
 
 def _above(case: JointCase, column: int) -> float:

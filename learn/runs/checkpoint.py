@@ -29,6 +29,7 @@ class Checkpoint:
         every: Seconds between two writes of the same state.
         count: Returns what this process has counted of the work so far, such as world-steps; kept with every state.
         earlier: What the processes before had counted when they last wrote.
+        part: What the names of all states begin with: one run may have parts with states of the same name.
     """
 
     folder: Path | None = None
@@ -36,6 +37,7 @@ class Checkpoint:
     every: float = 1.0
     count: Callable[[], int] = lambda: 0
     earlier: int = 0
+    part: str = ""
     _written: dict[str, float] = field(default_factory=dict)
 
     def open(self, resume: bool) -> bool:
@@ -63,9 +65,9 @@ class Checkpoint:
 
     def load(self, name: str) -> dict[str, Any] | None:
         """Return a state (tensors, numbers, text and lists of them), or None where there is none."""
-        if self.folder is None or not (self.folder / name).exists():
+        if self.folder is None or not (self.folder / f"{self.part}{name}").exists():
             return None
-        state: dict[str, Any] = torch.load(self.folder / name, weights_only=True)
+        state: dict[str, Any] = torch.load(self.folder / f"{self.part}{name}", weights_only=True)
         return {key: value for key, value in state.items() if key != _COUNT}
 
     def due(self, name: str) -> bool:
@@ -76,9 +78,9 @@ class Checkpoint:
         """Write a state."""
         if self.folder is None:
             return
-        part = self.folder / f".{name}.part"
+        part = self.folder / f".{self.part}{name}.part"
         torch.save({**state, _COUNT: self.earlier + self.count()}, part)
-        os.replace(part, self.folder / name)
+        os.replace(part, self.folder / f"{self.part}{name}")
         self._written[name] = time.monotonic()
 
     def close(self) -> None:

@@ -24,6 +24,7 @@ from bough.learn.inference.identify import pooled_sigma
 from bough.learn.replay.choice import choose, life_of_errors, moved_by_noise
 from bough.learn.replay.equation_error import EquationError, low_pass, noise_of, recordings_of, thinned, window
 from bough.learn.replay.motion_noise import motion_noise
+from bough.learn.runs.checkpoint import Checkpoint
 from bough.learn.runs.threads import one_thread
 from bough.learn.systems.acting import Acting
 from bough.learn.systems.branch import Unknowns
@@ -34,8 +35,8 @@ INERTIA, D = 0.05, 0.1
 
 
 def drive(folder, *, rub=0.0, spring=0.0, seconds=5.0, rate=200.0, noise=2e-4, loud=0.0, runs=2, measured=("q", "u"),
-          keys=()):  # fmt: skip
-    """Write a case of an axis that a controller turns: INERTIA q'' = u - D q' - spring q - rub sign(q')."""
+          keys=(), pulled=0.0):  # fmt: skip
+    """Write a case of an axis under control: INERTIA q'' = u - D q' - spring q - rub sign(q') - pulled sin(t / 2 s)."""
     folder.mkdir()
     rng, fine = np.random.default_rng(0), 10
     t = np.arange(round(seconds * rate)) / rate
@@ -47,7 +48,7 @@ def drive(folder, *, rub=0.0, spring=0.0, seconds=5.0, rate=200.0, noise=2e-4, l
             u = 6.0 * (want[k] - q) - 0.4 * v
             rows.append((t[k], q, u))
             for _ in range(fine):
-                v += h * (u - D * v - spring * q - rub * np.tanh(v / 5e-3)) / INERTIA
+                v += h * (u - D * v - spring * q - rub * np.tanh(v / 5e-3) - pulled * np.sin(0.5 * t[k])) / INERTIA
                 q += h * v
         rows = np.array(rows)
         rows[:, 1:] += np.array([noise, loud]) * rng.standard_normal((len(t), 2))
@@ -117,6 +118,31 @@ def test_the_other_way_can_be_asked_for(tmp_path):
     with pytest.raises(InputError, match="torque without the effort of axis") as e:
         choose(load_case(drive(tmp_path / "half", measured=("q",))), "torque")
     assert "\n" not in str(e.value)
+
+
+@pytest.mark.parametrize("rate, pulled, named", [(20.0, 0.1, True), (24.0, 0.2, False)])
+def test_torques_are_judged_where_a_replay_of_a_fast_motion_names_nothing(tmp_path, rate, pulled, named):
+    """Name friction by torques of an axis that moves faster than their filter and is pulled at by what is not measured.
+
+    A replay adds that up and names nothing. Where torques name nothing either the replay is told. A run that was killed
+    after both searches goes on to the same verdict.
+    """
+    case = load_case(drive(tmp_path / "case", rub=0.25, rate=rate, seconds=20.0, pulled=pulled))
+    assert choose(case).case.fit == "replay" and choose(case).torn and not choose(case, "replay").torn
+    settings = Settings(("dry_friction", "quadratic_drag"), particles=0)
+    keep = Checkpoint(tmp_path / "kept", "key")
+    for resume in (False, True):
+        keep.open(resume)
+        with one_thread():
+            found = find_missing(case, Run(settings, keep))
+        assert {p.name for p in keep.folder.glob("*search")} == {"search", "turned-search"}
+        if named:
+            assert [a.name for a in found.effects] == ["dry_friction"] and found.fit["method"] == "torque"
+            assert "a replay, which comes first" in found.fit["reason"] and found.fit["other"] == "replay"
+            torque = found.parameters["dry_friction@0"]["torque_Nm"]
+            assert torque.low < 0.25 < torque.high
+        else:
+            assert found.verdict == "unknown" and found.fit["method"] == "replay"
 
 
 def test_a_cut_off_asks_for_torques(tmp_path):
