@@ -14,10 +14,10 @@ from bough.learn.gap.models.memoryless import memoryless_share, without_memory
 RUNS, SAMPLES = 3, 200
 
 
-def torque_case():
-    """Return a case of one joint that is fitted by its torques."""
+def torque_case(fit="torque"):
+    """Return a case of one joint that is fitted by its torques, or replayed."""
     case = object.__new__(JointCase)
-    for name, value in {"fit": "torque", "joints": (SimpleNamespace(name="axis"),),
+    for name, value in {"fit": fit, "joints": (SimpleNamespace(name="axis"),),
                         "inputs": (SimpleNamespace(joint="axis"),)}.items():  # fmt: skip
         object.__setattr__(case, name, value)
     return case
@@ -95,6 +95,27 @@ def test_only_friction_is_named_beside_a_large_rest(monkeypatch, names, share, l
     own = fitted.models[0]
     excess = (own.chi2 - fitted.contest.num_samples) / (1.0 - share)
     fitted.base.fit.chi2[0] = fitted.contest.num_samples + excess
+    assert decide.known(fitted, own) is claimed
+
+
+@pytest.mark.parametrize(
+    "names, share, claimed",
+    [
+        (("dry_friction",), 0.78, True),  # a real servo's
+        (("dry_friction",), 0.70, False),
+        (("plastic_set",), 0.78, False),
+        (("plastic_set",), 0.92, True),
+        (("dry_friction", "plastic_set"), 0.78, False),
+        (("dry_friction", "dry_friction"), 0.78, True),
+    ],
+)
+def test_friction_of_a_replay_is_named_for_less_than_other_laws(names, share, claimed):
+    """Name friction at one joint or at several for three quarters of the excess, other laws for 0.91 of it."""
+    fitted = left_by(spot, 60.0, names=names)
+    own, fitted.contest.case = fitted.models[0], torque_case("replay")
+    samples = fitted.contest.num_samples
+    assert own.chi2 > 300.0 * samples  # beyond where less is asked of any law
+    fitted.base.fit.chi2[0] = samples + (own.chi2 - samples) / (1.0 - share)
     assert decide.known(fitted, own) is claimed
 
 
