@@ -35,9 +35,9 @@ LITTLE_LEFT = ((10.0, 0.6), (300.0, 0.7))
 #: The same for torques predicted from a measured motion. Right names of the exam explain 0.83 and more, hysteresis in
 #: the place of a diode 0.70 and a plastic set 0.78.
 EXPLAINED_TORQUE = 0.87
-#: The same where dry friction alone is named, which every gear has, of replays and of torques. Of replays a real
-#: servo's explains 0.81 to 0.85, friction in the place of twenty laws on no list 0.44 at most; of torques that of a real
-#: arm's two gears explains 0.52.
+#: The same where dry friction alone is named, which every gear has, of replays and of torques. Of replays a servo's
+#: explains 0.81 to 0.85, friction in the place of twenty laws on no list 0.44 at most; of torques that of a real arm's
+#: two gears explains 0.52.
 EXPLAINED_FRICTION, EXPLAINED_FRICTION_TORQUE = 0.75, 0.4
 #: The least that two effects must explain together at replayed joints, if their residual exceeds noise: right pairs
 #: explain 0.99 and more, two laws that make up one on no list 0.9.
