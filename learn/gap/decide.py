@@ -25,9 +25,9 @@ from .search import Searched
 EXPLAINED = 0.87
 #: The same if their residual passes for noise.
 QUIET_EXPLAINED = 0.7
-#: The same for joints that are measured directly: right names explain 0.93 of a real pendulum's swings, 0.92 and more
-#: of the exam's, laws in the place of a spring that leaks through a diode up to 0.9.
-EXPLAINED_JOINT = 0.91
+#: The same for joints that are measured directly: where more is left than `LITTLE_LEFT` says, right names of the exam
+#: explain 0.97 and more, laws in the place of a spring that leaks through a diode up to 0.93.
+EXPLAINED_JOINT = 0.95
 #: The same where little is left, by the reduced chi-squared up to which it holds. Noise is a thousandth of the motion
 #: there, so small errors of a law's form count for much, and its slow part is not in the estimate: right names explain
 #: 0.73 of one real tree's pull and leave 14 deviations, 0.64 of another's and leave 3.
