@@ -62,10 +62,10 @@ class Diagnose:
         from ..learn.gap.run import STAGES
 
         stages = {
-            "fitting the base model": 1,
+            "fitting the base model": None,  # twice where a case is judged in two ways
             "scanning candidates": None,
             "fitting candidates": None,
-            "comparing models": 1,
+            "comparing models": None,
             "sampling": 24,
         }
         says = dict(zip(STAGES, stages, strict=True))
