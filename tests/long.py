@@ -21,6 +21,9 @@ _GPU = "compiles a large kernel for a GPU; make test keeps the plain step and th
 _RUN = "trains two policies first (25 s), then real time; make test keeps stage, loop and plan (learn/deploy)"
 
 LONG = {
+    "sim/arms/test_copies.py::test_copies_go_where_their_worlds_go[effects0]": _LAWS,
+    "sim/engine/test_simulator_effects.py::test_worlds_with_values_of_their_own_keep_their_bits[16]": _OTHER,
+    "learn/policies/test_mpc_tree.py::test_knowing_the_tree_is_worth_something": "whole episodes (10 s); counts stay",
     "cli/robots/test_run_story.py::test_a_policy_runs_in_two_scenes": _RUN,
     "cli/robots/test_run_story.py::test_a_dry_run": _RUN,
     "cli/robots/test_run_story.py::test_a_new_scene_takes_a_stop": _RUN,
@@ -145,7 +148,7 @@ LONG = {
     "sim/arms/test_contact_worlds.py::test_arms_at_full_speed_pass_no_thin_branch[3.0]": _OTHER,
     "sim/engine/test_gpu_ready.py::test_newton_solver": "compiles Newton's kernels too, in a GPU's memory order",
     "sim/engine/test_gpu_ready.py::test_memory_order_of_a_gpu_gives_the_same_bits[1]": _OTHER,
-    "sim/engine/test_simulator_effects.py::test_worlds_with_values_of_their_own_keep_their_bits_at_any_width[8": _OTHER,
+    "sim/engine/test_simulator_effects.py::test_worlds_with_values_of_their_own_keep_their_bits[8": _OTHER,
     "sim/engine/test_gpu_ready.py::test_the_gpu_benchmark_runs_on_a_cpu": "the whole script of a GPU's measurements",
     "sim/engine/test_gpu_ready.py::test_kernels_of_the_arm_compile_for_a_gpu[contact": _GPU,
     "sim/wood/test_wood_effects.py::test_a_task_s_worlds_feel_the_wind_and_live_it_again": _LAWS,

@@ -333,7 +333,7 @@ def test_neutral_effects_keep_the_plain_step_s_bits(width, precision):
 
 
 @pytest.mark.parametrize("width", [8, 16])
-def test_worlds_with_values_of_their_own_keep_their_bits_at_any_width(width):
+def test_worlds_with_values_of_their_own_keep_their_bits(width):
     """Step trees with random values of all effects in lanes: every world has the bits that it has alone."""
     trees, starts = forest()
     sim = begin(simulator(trees, ALL, gravity=9.81, precision=32, width=width, dt=1 / 240), starts)
