@@ -22,7 +22,6 @@ _RUN = "trains two policies first (25 s), then real time; make test keeps stage,
 
 LONG = {
     "sim/arms/test_copies.py::test_copies_go_where_their_worlds_go[effects0]": _LAWS,
-    "sim/engine/test_simulator_effects.py::test_worlds_with_values_of_their_own_keep_their_bits[16]": _OTHER,
     "learn/policies/test_mpc_tree.py::test_knowing_the_tree_is_worth_something": "whole episodes (10 s); counts stay",
     "cli/robots/test_run_story.py::test_a_policy_runs_in_two_scenes": _RUN,
     "cli/robots/test_run_story.py::test_a_dry_run": _RUN,
