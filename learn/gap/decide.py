@@ -241,12 +241,12 @@ def known(fitted: FittedModels, model: Model) -> bool:
         return fitted.explained(model) >= TWICE and not _staircase(fitted, model)
     if fits_torque(case):
         return _known_torques(fitted, model)
-    least = EXPLAINED if isinstance(case, BranchCase) else EXPLAINED_JOINT
+    least = EXPLAINED
+    if isinstance(case, JointCase):
+        least = EXPLAINED_FRICTION if _rubs(fitted, model) else EXPLAINED_JOINT
+        least = min([least, *(share for most, share in LITTLE_LEFT if fitted.reduced_chi2(model) <= most)])
     if fitted.reduced_chi2(model) <= QUIET:
         least = min(least, QUIET_EXPLAINED)
-    if isinstance(case, JointCase):
-        least = min([least, *(share for most, share in LITTLE_LEFT if fitted.reduced_chi2(model) <= most)])
-        least = min(least, EXPLAINED_FRICTION if _rubs(fitted, model) else 1.0)
     return fitted.explained(model) >= least
 
 

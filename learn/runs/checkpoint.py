@@ -65,22 +65,24 @@ class Checkpoint:
 
     def load(self, name: str) -> dict[str, Any] | None:
         """Return a state (tensors, numbers, text and lists of them), or None where there is none."""
-        if self.folder is None or not (self.folder / f"{self.part}{name}").exists():
+        if self.folder is None or not (self.folder / (self.part + name)).exists():
             return None
-        state: dict[str, Any] = torch.load(self.folder / f"{self.part}{name}", weights_only=True)
+        state: dict[str, Any] = torch.load(self.folder / (self.part + name), weights_only=True)
         return {key: value for key, value in state.items() if key != _COUNT}
 
     def due(self, name: str) -> bool:
         """Return whether a state should be written now."""
-        return self.folder is not None and time.monotonic() - self._written.get(name, -math.inf) >= self.every
+        written = self._written.get(self.part + name, -math.inf)
+        return self.folder is not None and time.monotonic() - written >= self.every
 
     def save(self, name: str, state: dict[str, Any]) -> None:
         """Write a state."""
         if self.folder is None:
             return
-        part = self.folder / f".{self.part}{name}.part"
+        name = self.part + name
+        part = self.folder / f".{name}.part"
         torch.save({**state, _COUNT: self.earlier + self.count()}, part)
-        os.replace(part, self.folder / f"{self.part}{name}")
+        os.replace(part, self.folder / name)
         self._written[name] = time.monotonic()
 
     def close(self) -> None:

@@ -227,10 +227,6 @@ def test_a_probe_narrows_an_interval_as_a_kalman_update_does(small):
 # ---- decisions on hand-made fields ---------------------------------------------------------------------------------
 
 
-#: Samples of a recording in which something is hidden; what a diagnosis takes grows with them.
-SAMPLES = 72
-
-
 def field_of(chi2, base=3000.0, samples=1000):
     """Return a fitted in which models have the given squares: {members: chi2}."""
     names = ["dry_friction", "hysteresis_boucwen", "tip_mass"]
@@ -352,6 +348,10 @@ def test_exam_is_graded_by_hand():
 
 
 # ---- verdicts ------------------------------------------------------------------------------------------------------
+
+
+#: Samples of a recording in which something is hidden; what a diagnosis takes grows with them.
+SAMPLES = 72
 
 
 def diagnosed(folder, **hidden):
