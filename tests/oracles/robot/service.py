@@ -134,9 +134,9 @@ def moving_client(served: Served, kind: str) -> subprocess.Popen:
 def keeps_still(served: Served, grace: float = 0.150) -> None:
     """Check a log: speeds sent are zero 150 ms after the last accepted command, and the joints stand with them.
 
-    Times are those of the log's own ticks, which are waited for, so that a slow machine cannot fail this: the guard caps
-    speeds by the time, however many ticks there were. A joint may need two ticks to stand after the first zero: the
-    servo's time constant is some 10 ms.
+    Times are those of the log's own ticks, which are waited for, so that a slow machine cannot fail this: the guard
+    caps speeds by the time, however many ticks there were. A joint may need two ticks to stand after the first zero:
+    the servo's time constant is some 10 ms.
     """
     end = time.monotonic() + 20.0
     while True:
