@@ -145,19 +145,26 @@ class ActingSet:
 
     def marks(self, columns: torch.Tensor) -> torch.Tensor:
         """Return 1 for every set whose rest pose differs from the given pose, else 0, [sets]."""
-        out = columns.new_zeros(len(columns))
-        for entry, value in zip(self.entries, self.values(columns), strict=True):
-            law = self.laws[self.names[entry.place // 6]]
-            if law.settles or (law.persistent and entry.place % 6 == 0):
-                out = torch.maximum(out, (value != entry.spec.neutral).to(out.dtype))
-        return out
+        loads = torch.tensor([self._loads(entry) for entry in self.entries], dtype=torch.bool, device=columns.device)
+        return (self._changed(columns) & loads).any(1).to(columns)
+
+    def _loads(self, entry: Entry) -> bool:
+        """Return whether a branch rests elsewhere where an entry is not neutral: a load, or the share of damage."""
+        law = self.laws[self.names[entry.place // 6]]
+        return law.settles or (law.persistent and entry.place % 6 == 0)
 
     def switched_on(self, columns: torch.Tensor) -> torch.Tensor:
         """Return whether some parameter of each effect is not neutral, [sets, names]."""
-        out = columns.new_zeros((len(columns), len(self.names)), dtype=torch.bool)
-        for entry, value in zip(self.entries, self.values(columns), strict=True):
-            out[:, entry.place // 6] |= value != entry.spec.neutral
-        return out
+        of = torch.tensor([entry.place // 6 for entry in self.entries], dtype=torch.long, device=columns.device)
+        counts = columns.new_zeros(len(columns), len(self.names), dtype=torch.long)
+        return counts.index_add_(1, of, self._changed(columns).long()) > 0
+
+    def _changed(self, columns: torch.Tensor) -> torch.Tensor:
+        """Return which entries are not neutral, [sets, entries]."""
+        neutral = columns.new_tensor([e.spec.neutral for e in self.entries])
+        values = columns.new_tensor([e.known or 0.0 for e in self.entries]).repeat(len(columns), 1)
+        values[:, [n for n, e in enumerate(self.entries) if e.known is None]] = columns
+        return values != neutral
 
     def value(self, name: str, parameter: str, columns: torch.Tensor) -> torch.Tensor:
         """Return a parameter of an effect that acts once, [sets]."""

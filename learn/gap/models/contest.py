@@ -22,19 +22,16 @@ import torch
 from ....sim.base.types import Array
 from ....sim.effects import in_setting
 from ...cases.case import BranchCase, JointCase
-from ...replay.equation_error import simulation_of
 from ...replay.input_noise import Colour
 from ...replay.motion import about_rest
 from ...replay.recording import Recording, beginning
-from ...replay.rollout import Rollout
 from ...systems.branch import Unknowns
 from ...systems.system import box_of, values_of
 from .candidates import Candidate, everywhere, passes_neutral
 from .memory import Remembered
 from .nuisance import none_of
+from .simulations import Simulations
 
-#: Parameter sets per launch; a small remainder runs in launches of the second size.
-LAUNCH, SMALL = 128, 16
 #: Finite-difference steps, relative to the reach of a free coordinate and to the scale of start states. The wide step
 #: averages over a rugged chi-squared surface; the narrow one has less truncation error where a law is curved. The
 #: narrowest is for joints that swing many times.
@@ -101,7 +98,7 @@ class Contest:
         nuisance: Linear columns with priors that all models share.
         overdispersion: Reduced chi-squared expected of the best model; prior terms are scaled by it.
         names: Effects that may act.
-        finer: How many times as short as the system's own steps are.
+        simulations: What simulates sets of parameters.
         motion: Measured channels, but joints' positions about their means, [R, T, C]; zero past a recording's end.
         data_sigma: Noise of the channels as it was estimated from the data alone, shape [C].
         num_samples: Number of measured values with noise above zero, the N of the reduced chi-squared.
@@ -115,11 +112,10 @@ class Contest:
         self.case, self.recordings, self.device = case, list(recordings), device
         self.names = tuple(names)
         self.unknowns = Unknowns(effects=everywhere(case, names))
-        self.finer, self._rollouts = 1, dict[int, Rollout]()
+        self.simulations = Simulations(case, self.recordings, self.unknowns, device=device)
         self._beginnings: dict[float, Contest] = {}
-        first = self._rollout(SMALL)
-        system = first.system
-        self.place = first.torch_device
+        system = self.simulations.whole.system
+        self.place = self.simulations.whole.torch_device
         self.parameters = system.parameters
         self.settings = system.acting.settings
         self.num_base = len(self.parameters) - len(system.acting.parameters)
@@ -152,7 +148,7 @@ class Contest:
     def finely(self) -> Contest:
         """Return the same contest, sharing memory, with steps half as long."""
         out = copy(self)
-        out.finer, out._rollouts = 2 * self.finer, {}
+        out.simulations = self.simulations.finely()
         return out
 
     def remembering(self) -> Contest:
@@ -169,15 +165,8 @@ class Contest:
             self._beginnings[share] = Contest(self.case, cut, sigma, self.names, device=self.device)
         return self._beginnings[share]
 
-    def _rollout(self, size: int) -> Rollout:
-        if size not in self._rollouts:
-            self._rollouts[size] = simulation_of(self.case)(
-                self.case, self.recordings, size, unknowns=self.unknowns, device=self.device, finer=self.finer
-            )
-        return self._rollouts[size]
-
     def _candidates(self) -> list[Candidate]:
-        system = self._rollout(SMALL).system
+        system = self.simulations.whole.system
         out: list[Candidate] = []
         column = self.num_base
         for acting in system.acting.acting:
@@ -229,7 +218,7 @@ class Contest:
     @property
     def world_steps(self) -> int:
         """World-steps taken so far."""
-        return sum(r.world_steps for r in self._rollouts.values())
+        return self.simulations.world_steps
 
     def base_batch(self, count: int) -> Batch:
         """Return a batch of ``count`` base models at typical values, all recordings with weight one."""
@@ -245,15 +234,7 @@ class Contest:
 
     def simulate(self, values: torch.Tensor, start: torch.Tensor) -> torch.Tensor:
         """Return the channels [S, R, T, C] of parameter values [S, n] from start states [S, R, J, 2]."""
-        parts, done = [], 0
-        while done < len(values):
-            size = LAUNCH if len(values) - done > 4 * SMALL else SMALL
-            rollout, taken = self._rollout(size), slice(done, done + size)
-            own = [_padded(x[taken], size) for x in (values, start)]
-            out = rollout(own[0], own[1] if rollout.num_locals else None)
-            parts.append(out[: len(values) - done].clone())
-            done += size
-        return torch.cat(parts)
+        return self.simulations(values, start)
 
     def whiten(self, difference: torch.Tensor) -> torch.Tensor:
         """Return differences of channels [S, R, T, C] whitened: noise alone gives standard deviation one."""
@@ -328,10 +309,6 @@ def _active_columns(batch: Batch) -> torch.Tensor:
     most = int(batch.active.sum(1).max())
     order = torch.argsort(batch.active.to(torch.int8), dim=1, descending=True, stable=True)[:, :most]
     return torch.where(torch.gather(batch.active, 1, order), order, -1)
-
-
-def _padded(values: torch.Tensor, size: int) -> torch.Tensor:
-    return torch.cat([values, values[-1:].expand(size - len(values), *values.shape[1:])])
 
 
 def prior_of(contest: Contest, batch: Batch) -> torch.Tensor:

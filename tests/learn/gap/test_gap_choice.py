@@ -13,7 +13,7 @@ from bough.learn.gap.consistent import sentence
 from bough.learn.gap.decide import Decision
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
-from bough.learn.gap.models.contest import SMALL, Contest
+from bough.learn.gap.models.contest import Contest
 from bough.learn.gap.models.fitted import FittedModels, Model
 from bough.learn.gap.models.refit import fit
 from bough.learn.gap.prepare import prepare
@@ -229,7 +229,7 @@ def test_half_the_rate_is_not_integrated_in_longer_steps(tmp_path):
     first = Contest(case, recordings, sigma, ("quadratic_drag",))
     half = next(v for v in variants(case) if "rate" in v.what)
     second = _contest(first, half, None)  # the fit of the base is for torques
-    steps = [c.case.dt / c._rollout(SMALL).substeps for c in (first, second)]
+    steps = [c.case.dt / c.simulations.whole.substeps for c in (first, second)]
     assert steps[1] <= steps[0]
 
 
