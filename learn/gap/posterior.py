@@ -62,6 +62,7 @@ def posterior_of(contest: Contest, model: Model, fitted: Batch, train: Sequence[
     return sample(
         target, modes, particles=count, iterations=default_iterations("svgd"), seed=run.settings.seed,
         checkpoint=run.keep, progress=lambda stage, done: run.progress("sampling", done),
+        beyond=_beyond(contest.rigid(), fitted, train),
     )  # fmt: skip
 
 
@@ -145,8 +146,13 @@ def _deviations(contest: Contest, fitted: Batch, train: Sequence[int]) -> dict[i
     seen = correlation(residual[0][list(train)], [len(contest.recordings[j].t) for j in train], used)
     curvature = rows.flatten(1) @ rows.flatten(1).T
     spread = sandwich(filled(normal[0]), curvature, score_covariance(seen, rows)).diagonal().sqrt()
-    spread = spread[: columns.shape[1]].hypot(_apart(contest, fitted, train)).hypot(_stepped(contest, fitted))
+    spread = spread[: columns.shape[1]].hypot(_beyond(contest, fitted, train))
     return {int(c): float(s) for c, s in zip(columns[0], spread, strict=True) if c >= 0}
+
+
+def _beyond(contest: Contest, fitted: Batch, train: Sequence[int]) -> torch.Tensor:
+    """Return the deviations of the active free coordinates that neither noise nor correlation explains, shape [q]."""
+    return _apart(contest, fitted, train).hypot(_stepped(contest, fitted))
 
 
 def _stepped(contest: Contest, fitted: Batch) -> torch.Tensor:

@@ -300,7 +300,7 @@ def _details(d: Diagnosis) -> dict[str, object]:
         **(
             {}
             if d.posterior is None
-            else {"widened for correlated residuals": f"{d.posterior.widened:.2g} times at most"}
+            else {"intervals widened for model error": f"{d.posterior.widened:.2g} times at most"}
         ),
         "wall time [s]": ", ".join(f"{k} {v:.1f}" for k, v in d.seconds.items()),
         "simulated world-steps": f"{d.world_steps:,}",

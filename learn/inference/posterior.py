@@ -31,6 +31,8 @@ Progress = Callable[[str, int], None]
 COLOURINGS = 2
 #: Central-difference step in a free coordinate for the slope of the response's power.
 COLOUR_STEP = 0.05
+#: Largest deviation of a coordinate w by which particles are spread beyond their density.
+WIDEST = 4.0
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,9 @@ class Posterior:
         agreement: Share of starts that ended within 3 of the best log posterior.
         convergence: Whether the sampler converged, with its diagnostics.
         geometry: What a branch's springs refer to: ``segment_name``, ``segment_length_m``, ``segment_radius_m``.
-        widened: Largest factor by which standard deviations grew because residuals are correlated (`correlated`); one
-            where they are white. ``log_posterior`` is that of the particles before.
+        widened: Largest factor by which standard deviations grew because residuals are correlated (`correlated`) or
+            recordings differ by more than noise; one where neither is. ``log_posterior`` is that of the particles
+            before.
     """
 
     parameters: tuple[Parameter, ...]
@@ -250,8 +253,13 @@ def infer(
 def sample(
     target: Target, modes: Modes, *, method: str = "svgd", particles: int, iterations: int, seed: int,
     checkpoint: Checkpoint | None = None, name: str = "posterior", progress: Progress = lambda stage, done: None,
+    beyond: torch.Tensor | None = None,
 ) -> Posterior:  # fmt: skip
-    """Sample a target's posterior about its modes; arguments as of `infer`."""
+    """Sample a target's posterior about its modes; arguments as of `infer`.
+
+    ``beyond`` holds standard deviations of the parameters' free coordinates [n] that the density does not know, such as
+    by a model that is not quite right. The particles spread by them too.
+    """
     keep = checkpoint or Checkpoint()
     found = inside_of(target).modes(modes)
     best = int(found.log_posterior.argmax())
@@ -272,7 +280,24 @@ def sample(
                 "taken_at": density.taken_at,
             }  # fmt: skip
             keep.save(f"{name}.sampler", state)
-    return _posterior(target, density, sampler, modes, torch.stack(trace_z), torch.stack(trace_p), particles)
+    wider = _opened(density, widening_at(density) if target.loss == "gaussian" else None, beyond)
+    return _posterior(target, density, sampler, modes, torch.stack(trace_z), torch.stack(trace_p), particles, wider)
+
+
+def _opened(density: Whitened, wider: torch.Tensor | None, beyond: torch.Tensor | None) -> torch.Tensor | None:
+    """Return the matrix [D, D] that widens deviations in z as ``wider`` does and by deviations ``beyond`` [n].
+
+    Covariances add: in z a deviation of w is multiplied by L^T, and that of a bounded parameter is its own over the
+    slope there, up to `WIDEST`, which fills the box.
+    """
+    if beyond is None or not bool((beyond > 0.0).any()):
+        return wider
+    apart = torch.zeros_like(density.centre)
+    apart[: len(beyond)] = (beyond / density.inside.slope(density.centre)[: len(beyond)]).clamp(max=WIDEST)
+    more = density.factor.T * apart
+    square = torch.eye(len(apart)).to(more) if wider is None else wider @ wider
+    value, vector = torch.linalg.eigh(square + more @ more.T)
+    return (vector * value.sqrt()) @ vector.T
 
 
 def _modes(
@@ -338,12 +363,12 @@ def _restored(
 
 
 def _posterior(
-    target: Target, density: Whitened, sampler: Any, modes: Modes, z: torch.Tensor, p: torch.Tensor, particles: int
-) -> Posterior:
+    target: Target, density: Whitened, sampler: Any, modes: Modes, z: torch.Tensor, p: torch.Tensor, particles: int,
+    wider: torch.Tensor | None,
+) -> Posterior:  # fmt: skip
     last = z[-1]
     verdict = converged(z, chain=sampler.chain, gradient=sampler.gradient)
     drawn, log_p = (last, p[-1]) if not sampler.chain else _thinned(z, p, 4 * particles)
-    wider = widening_at(density) if target.loss == "gaussian" else None
     if wider is not None:
         drawn = drawn.mean(0) + (drawn - drawn.mean(0)) @ wider
     theta = density.theta(drawn)
