@@ -15,7 +15,7 @@ from dataclasses import replace
 
 from ...sim.effects import effect_of
 from .decide import probe_for
-from .diagnosis import Diagnosis
+from .diagnosis import Diagnosis, together
 from .evidence import ALARM, LACK, lack_of
 
 #: Held-out error over the noise floor from which it is more than noise. Noise of the force and refits to fewer
@@ -288,7 +288,7 @@ def _unknown(d: Diagnosis) -> str:
     first = "Something is missing that these data cannot name" if significant(d) else "These data name no effect"
     if not d.tried and d.nearest is None:
         return f"{first}: no candidate could be fitted."
-    what = " + ".join(d.tried) or d.nearest
+    what = together(d.tried) or d.nearest
     text = f"{first}: the nearest candidate, {what}, explains {share(d.explained)} of the excess misfit"
     if grows(d):
         name = error_name(d)
@@ -328,7 +328,18 @@ def share(explained: float) -> str:
 
 
 def _named(d: Diagnosis) -> str:
-    return " and ".join(a.name if a.joint is None else f"{a.name} at joint {a.joint}" for a in d.effects) or "an effect"
+    """Return the named effects in words, each once with all its joints."""
+    joints: dict[str, list[str]] = {}
+    for a in d.effects:
+        joints.setdefault(a.name, []).extend([] if a.joint is None else [str(a.joint)])
+    return " and ".join(f"{name}{_at(own)}" for name, own in joints.items()) or "an effect"
+
+
+def _at(joints: list[str]) -> str:
+    """Return joints in words: none, one, or several."""
+    if len(joints) < 2:
+        return f" at joint {joints[0]}" if joints else ""
+    return f" at joints {', '.join(joints[:-1])} and {joints[-1]}"
 
 
 def _gap(d: Diagnosis, value: float) -> str:

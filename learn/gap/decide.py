@@ -15,7 +15,7 @@ from .diagnosis import Settings, VerdictName
 from .evidence import ALARM, lacks_fit
 from .models.candidates import passes_neutral
 from .models.certain import doubtful
-from .models.fitted import QUIET, FittedModels, Model, penalty
+from .models.fitted import FURTHER, QUIET, FittedModels, Model, penalty
 from .models.left_out import fitted_chi2, left_out_chi2, profiles, without_event
 from .models.memoryless import MEMORYLESS, QUIET_TORQUE, memoryless_share
 from .prepare import Base
@@ -42,9 +42,8 @@ EXPLAINED_FRICTION, EXPLAINED_FRICTION_TORQUE = 0.75, 0.4
 #: The least that two effects must explain together at replayed joints, if their residual exceeds noise: right pairs
 #: explain 0.99 and more, two laws that make up one on no list 0.9.
 TOGETHER_JOINT = 0.95
-#: Least improvement of the information criterion by a further effect, and least share of the remaining excess that it
-#: must explain (for motion, for torques).
-FURTHER, FURTHER_SHARE, FURTHER_SHARE_TORQUE = 20.0, 0.3, 0.1
+#: Least share of the remaining excess that a further effect must explain (for motion, for torques).
+FURTHER_SHARE, FURTHER_SHARE_TORQUE = 0.3, 0.1
 #: Least share of the base model's excess that a further effect must explain, for branches and for joints measured
 #: directly. A law differs from the true effect in form, by up to a quarter of its response; a further effect that only
 #: corrects that form must not be named. Half of the share suffices for an effect that explains `MOST` of the remaining
@@ -182,7 +181,8 @@ def bears_out(gains: Sequence[float], fitted: float) -> bool:
 def chosen(fitted: FittedModels, most: int) -> Model:
     """Return the preferred model with at most ``most`` effects, the base model if nothing else was fitted.
 
-    Selection is forward: a further effect is added only if it explains much of the remaining excess.
+    Selection is forward: a further effect is added only if it explains much of the remaining excess. One law at many
+    joints (`models.widespread`) is one name.
     """
     best = _single(fitted)
     for count in range(2, most + 1):
@@ -190,7 +190,9 @@ def chosen(fitted: FittedModels, most: int) -> Model:
         if not further or not _worth_more(fitted, best, further[0]):
             break
         best = further[0]
-    return best
+    wide = [m for m in fitted.models if len(m.members) > most]
+    widest = min(wide, key=fitted.criterion, default=best)
+    return widest if fitted.criterion(best) - fitted.criterion(widest) > FURTHER else best
 
 
 def _worth_more(fitted: FittedModels, best: Model, trial: Model) -> bool:

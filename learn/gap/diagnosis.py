@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -31,7 +32,7 @@ class Settings:
     Attributes:
         effects: Names of candidate effects; empty for all that the case can show.
         tolerance: Change of the motion, as a share of its rms, below which a missing effect is of no interest.
-        max_effects: Most effects that are named together.
+        max_effects: Most effects that are named together; one law at many joints of an arm counts once.
         seed: Seed of all random numbers.
         particles: Particles of the joint posterior of base and effects; 0 uses the curvature at the fit instead.
         fit: Replay or torque for joints measured directly; None chooses, see `learn.replay.choice`.
@@ -85,6 +86,15 @@ class Rival:
     delta: float
     explained: float
     cross_validated: float | None = None
+
+
+def together(labels: Sequence[str]) -> str:
+    """Return the labels of a model's effects in one, such as ``dry_friction@0, 1 + time_delay``; empty for none."""
+    joints: dict[str, list[str]] = {}
+    for label in labels:
+        name, at, joint = label.partition("@")
+        joints.setdefault(name, []).extend([joint] if at else [])
+    return " + ".join(f"{name}@{', '.join(own)}" if own else name for name, own in joints.items())
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure,
 from ..systems.model_file import BranchModel, write_model
 from .consistent import error_name, far, grows, missed, percent, plain, readable, share, significant
 from .decide import TIED
-from .diagnosis import Diagnosis, Rival, Share
+from .diagnosis import Diagnosis, Rival, Share, together
 from .evidence import ALARM
 from .figures import (
     BASE,
@@ -288,7 +288,7 @@ def _ranked(d: Diagnosis) -> list[Rival]:
 
 
 def _called(rival: Rival) -> str:
-    return " + ".join(rival.effects)
+    return together(rival.effects)
 
 
 def _details(d: Diagnosis) -> dict[str, object]:

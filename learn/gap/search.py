@@ -14,6 +14,7 @@ from .models.levels import LEADERS, better_of, first_level, mirrored, moved, nex
 from .models.nested import close, fitted_again, rebased
 from .models.nuisance import Nuisances
 from .models.refit import Fits
+from .models.widespread import widespread
 from .prepare import Base, colour, settle
 from .run import Run
 
@@ -141,7 +142,10 @@ def _recoloured(base: Base, fitted: FittedModels) -> FittedModels:
 
 
 def _add_effects(fitted: FittedModels, run: Run) -> None:
-    """Add a second effect to the leading models, and further ones, while these leave more than noise."""
+    """Add a second effect to the leading models, and further ones, while these leave more than noise.
+
+    What still does may be one law at more joints than effects are named together.
+    """
     for count in range(2, run.settings.max_effects + 1):
         leaders = fitted.of_size(count - 1)[:LEADERS]
         if not leaders or not fitted.needs_more(leaders[0]):
@@ -150,6 +154,8 @@ def _add_effects(fitted: FittedModels, run: Run) -> None:
         further = next_level(fitted.contest, leaders, run.progress)
         fitted.models += further + reduced(fitted.contest, further[:2]) + mirrored(fitted.contest, further[:2])
         fitted_again(fitted, count, every=True)
+    if fitted.needs_more(fitted.best):
+        fitted.models += widespread(fitted, run.settings.max_effects)
 
 
 # ---- checkpoint -----------------------------------------------------------------------------------------------------

@@ -15,6 +15,8 @@ from .refit import Fits
 
 #: Reduced chi-squared up to which residuals pass for noise; the noise is itself an estimate.
 QUIET = 1.15
+#: Least improvement of the information criterion by a further effect.
+FURTHER = 20.0
 
 
 @dataclass

@@ -1,0 +1,92 @@
+"""One law at many joints of a mechanism, such as the friction of every gear of an arm.
+
+Effects are named two together if not asked otherwise, since freedom explains anything. A law at every joint is one
+name; where torques are fitted each joint shows its own in its own torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ...cases.case import JointCase
+from ...replay.equation_error import fits_torque
+from .contest import Batch
+from .fitted import FURTHER, FittedModels, Model, overdispersion, penalty
+from .refit import fit
+
+#: Laws that are tried: those of the leading models with one effect.
+LAWS = 3
+#: Steps of a fit of all joints, and of one from there with a joint less.
+STEPS, LESS = 30, 8
+#: Least share of a joint's own excess that the law must explain there.
+OWN = 0.4
+
+
+def widespread(fitted: FittedModels, most: int) -> list[Model]:
+    """Return models of one law at more than ``most`` joints, none for branches and replays.
+
+    From all joints those are left out one by one at which the law does not pay for its parameters or explains less than
+    `OWN` of what is missing from that joint's torque.
+    """
+    case = fitted.contest.case
+    if not isinstance(case, JointCase) or not fits_torque(case) or len(case.joints) <= most:
+        return []
+    laws = dict.fromkeys(fitted.names(m)[0] for m in fitted.of_size(1))
+    return [m for name in list(laws)[:LAWS] for m in _pruned(fitted, name, most)]
+
+
+def _pruned(fitted: FittedModels, name: str, most: int) -> list[Model]:
+    """Return the model of a law at all joints where it pays, if these are more than ``most``."""
+    candidates = fitted.contest.candidates
+    members = tuple(k for k, c in enumerate(candidates) if c.name == name and c.acting.joint is not None)
+    if len(members) <= most:
+        return []
+    model = Model(members, fit(fitted.contest, _begun(fitted, members), STEPS), True)
+    while len(model.members) > most:
+        parts = _parts(fitted, model)
+        idle = [m for m in parts if not _pays(fitted, model, m)]
+        if not idle:
+            return [model, *parts]
+        model = min(idle, key=lambda m: m.cost)
+    return []
+
+
+def _begun(fitted: FittedModels, members: Sequence[int]) -> Batch:
+    """Return the base with a law at several joints, at each as it was fitted there alone."""
+    out = fitted.base.fit.batch.copy()
+    for c in members:
+        own = list(fitted.contest.candidates[c].columns)
+        alone = min((m for m in fitted.of_size(1) if m.members == (c,)), key=lambda m: m.cost, default=None)
+        out.active[:, own] = True
+        out.free[:, own] = fitted.contest.centre[own] if alone is None else alone.fit.batch.free[:, own]
+    return out
+
+
+def _parts(fitted: FittedModels, model: Model) -> list[Model]:
+    """Return the models with a joint less, fitted from where the model is."""
+    begun = []
+    for c in model.members:
+        own = model.fit.batch.copy()
+        own.active[:, list(fitted.contest.candidates[c].columns)] = False
+        begun.append(own)
+    fits = fit(fitted.contest, Batch.joined(begun), LESS)
+    return [Model(tuple(m for m in model.members if m != c), fits.one(s), True) for s, c in enumerate(model.members)]
+
+
+def _pays(fitted: FittedModels, model: Model, part: Model) -> bool:
+    """Return whether a joint's law is worth its parameters, and explains much of what that joint's torque misses."""
+    contest, (gone,) = fitted.contest, set(model.members) - set(part.members)
+    gained = (part.cost - model.cost) / overdispersion(contest, model.chi2) - penalty(contest, (gone,))
+    with_law, without = (_own_excess(fitted, m, gone) for m in (model, part))
+    return gained >= FURTHER and without - with_law >= OWN * without
+
+
+def _own_excess(fitted: FittedModels, model: Model, candidate: int) -> float:
+    """Return a model's chi-squared beyond noise in the torque of a candidate's joint."""
+    contest = fitted.contest
+    case, joint = contest.case, contest.candidates[candidate].acting.joint
+    assert isinstance(case, JointCase) and joint is not None
+    name = case.joints[joint].name
+    channel = next(c for c, item in enumerate(case.inputs) if item.joint == name)
+    left = contest.residual(model.fit.batch)[0][..., channel]
+    return float((left**2).sum()) - contest.num_samples / len(case.inputs)
