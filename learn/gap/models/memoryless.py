@@ -25,10 +25,10 @@ OVER_ANGLE, OVER_RATE, DEGREE, STRETCHES, RIDGES = 10, 8, 3, 8, (0.3, 3.0, 30.0,
 def memoryless_share(fitted: FittedModels, model: Model) -> float:
     """Return the share of what a model leaves beyond noise that a function of a joint's angle and rate predicts.
 
-    The function is free, so it says what no law of the registry does: friction in one place of the turn, cogging, a
-    torque that saturates. It is a tensor product of cubic B-splines with a ridge (Eilers & Marx 1996, Statist. Sci.
-    11:89, without their difference penalty), fitted to each driven joint, and predicts stretches of the recordings that
-    it was not fitted to. Zero where nothing beyond noise is left.
+    The function is free, so it says what no law of the registry does: friction in one place of the turn or that grows
+    with the load, cogging, a torque that saturates. It is a tensor product of cubic B-splines with a ridge (Eilers &
+    Marx 1996, Statist. Sci. 11:89, without their difference penalty), fitted to each driven joint, and predicts
+    stretches of the recordings that it was not fitted to. Zero where nothing beyond noise is left.
     """
     excess = model.chi2 - fitted.contest.num_samples
     if excess <= 0.0:
@@ -45,8 +45,8 @@ def without_memory(fitted: FittedModels, model: Model) -> tuple[str, ...]:
     if share < MEMORYLESS:
         return ()
     return (f"{share:.0%} of the torques left beyond noise is a function of the joint's angle and rate alone: a"
-            " law without memory that the registry does not have, such as friction in one place of the turn,"
-            " cogging or a limit of the drive; motion.png shows its form.",)  # fmt: skip
+            " law without memory that the registry does not have, such as friction in one place of the turn or by the"
+            " weight carried there, cogging or a limit of the drive; motion.png shows its form.",)  # fmt: skip
 
 
 def _joints(fitted: FittedModels, model: Model) -> list[tuple[Array, Array, Array]]:
