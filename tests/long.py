@@ -6,7 +6,7 @@ of the same kind. An entry that fits no test is an error.
 
 _SEARCH = "a whole search (10 to 100 s); make test keeps a null, a hidden drag found and shown, and the real pendulum"
 _REAL = "a real recording (6 s each; silverbox more); make test keeps the pendulum, the arm and a tree"
-_LAWS = "compiles a contact kernel of its own with laws (15 to 40 s); make test keeps the one with five laws in 8 lanes"
+_LAWS = "compiles a contact kernel with laws (15 to 40 s); make test keeps the one in 8 lanes"
 _OPTIONS = "a posterior with other options (8 s); make test keeps the one with defaults"
 _CHAINS = "long chains against known moments; make test keeps SVGD and one case of each chain"
 _KILLED = "kills and repeats a command of half a minute; make test keeps killed trainings"
@@ -22,6 +22,7 @@ _RUN = "trains two policies first (25 s), then real time; make test keeps stage,
 
 LONG = {
     "sim/arms/test_copies.py::test_copies_go_where_their_worlds_go[effects0]": _LAWS,
+    "sim/arms/test_copies.py::test_what_is_tried_in_copies_moves_nothing_else[effects0]": _LAWS,
     "learn/policies/test_mpc_tree.py::test_knowing_the_tree_is_worth_something": "whole episodes (10 s); counts stay",
     "cli/robots/test_run_story.py::test_a_policy_runs_in_two_scenes": _RUN,
     "cli/robots/test_run_story.py::test_a_dry_run": _RUN,

@@ -5,10 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from bough.sim.effects import effect_of
 from oracles import json_page
+from oracles.contact_case import LAWS
 from oracles.oscillator import write_case
 
 TINY = ("--preset", "cpu", "--device", "cpu", "--num-envs", 12)
+#: Laws besides friction and a tip mass, and the joint of each: with them the kernel is one that other tests have.
+OTHERS = {"cubic_stiffness": 1, "plastic_set": 1, "quadratic_drag": None, "wind_gust": None}
 SEGMENTS = [
     {"name": "branch", "stiffness_Nmprad": 74.2, "damping_Nmsprad": 1.31, "length_m": 0.52, "radius_base_m": 0.014,
      "radius_tip_m": 0.012},
@@ -21,6 +25,11 @@ def write_branch(effects=(), segments=SEGMENTS) -> None:
     """Write a model.yaml as `bough diagnose` does."""
     content = {"format": "branch-model/1", "name": "branch_7", "segments": segments, "effects": list(effects)}
     Path("model.yaml").write_text(yaml.safe_dump(content))
+
+
+def whole(name: str) -> dict[str, float]:
+    """Return all parameters of a law that `LAWS` has: its own, the others neutral."""
+    return {p.name: p.neutral for p in effect_of(name).law("branch").parameters} | LAWS[name]
 
 
 def settings(run: Path) -> dict:
@@ -59,11 +68,12 @@ def test_models_that_no_worlds_can_be_of(inside, tmp_path):
 
 
 def test_a_run_among_branches_with_effects(bough, tmp_path):
-    """Train and test in trees that have a diagnosed branch's friction and tip mass; a delay is the measurement's."""
+    """Train and test in trees that have a diagnosed branch's laws, such as friction; a delay is the measurement's."""
     write_branch([
         {"name": "dry_friction", "joint": 1, "parameters": {"torque_Nm": 0.21}},
         {"name": "tip_mass", "joint": None, "parameters": {"mass_kg": 0.08}},
         {"name": "time_delay", "joint": None, "parameters": {"lag_s": 0.02}},
+        *({"name": name, "joint": joint, "parameters": whole(name)} for name, joint in OTHERS.items()),
     ])  # fmt: skip
     out = tmp_path / "run"
     done = bough("train", "powerline", *TINY, "--iterations", 1, "--model", "model.yaml", "--out", out)
@@ -71,10 +81,13 @@ def test_a_run_among_branches_with_effects(bough, tmp_path):
     spring = SEGMENTS[1]["stiffness_Nmprad"]
     expected = [["tip_mass", "mass_kg", 0.08], ["dry_friction", "torque_Nm", 0.21 / spring],
                 ["dry_friction", "bend_rad", 0.0], ["dry_friction", "gradual", 0.0]]  # fmt: skip
-    assert settings(out)["scene"]["effects"] == expected
+    given = settings(out)["scene"]["effects"]
+    assert [row for row in given if row[0] not in OTHERS] == expected
+    others = {(name, key): value for name, key, value in given if name in OTHERS}
+    assert others == {(name, key): value for name in OTHERS for key, value in whole(name).items()}
     report = (out / "report.html").read_text()
     friction = f"dry_friction (torque_Nm over its spring {0.21 / spring:.3g}, bend_rad 0, gradual 0)"
-    assert f"tip_mass (mass_kg 0.08), {friction}" in report
+    assert "tip_mass (mass_kg 0.08)" in report and friction in report
     done = bough("evaluate", out, "--sets", 1, "--worlds", 8, "--device", "cpu", "--json")
     assert done.code == 0, done.err
     json_page.check("evaluate", json.loads(done.out))

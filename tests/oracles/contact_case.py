@@ -18,6 +18,15 @@ DT = 1.0 / 240.0
 STRETCHED = np.deg2rad([0.0, 250.0, 180.0, 0.0, 180.0, 180.0])
 #: Springs of the ternary tree by level [N m/rad]; its dampers are a tenth of them.
 STIFFNESS = np.array([120.0, 40.0, 14.0, 5.0])
+#: One choice of laws beside contact, with values, for all tests: a kernel of contact takes 10 s to compile.
+LAWS = {
+    "cubic_stiffness": {"cubic_radm2": 2.0},
+    "dry_friction": {"torque_Nm": 0.4},
+    "plastic_set": {"share": 0.5, "yield_rad": 0.03, "isotropic": 0.4},
+    "quadratic_drag": {"coefficient_kgpm3": 2.0},
+    "tip_mass": {"mass_kg": 0.05},
+    "wind_gust": {"sine_x_Pa": 40.0, "cosine_y_Pa": 20.0, "frequency_Hz": 0.7},
+}
 
 
 def free_arm(**changes: float) -> Arm:

@@ -7,18 +7,9 @@ from bough.learn.tasks.memory import simulator_tensors
 from bough.sim.base.errors import InputError
 from bough.sim.engine.model import Model
 from bough.sim.engine.simulator import Simulator
-from oracles.contact_case import STRETCHED, contacts_of, drive, pushed_posts, pushes, simulator, ternary
+from oracles.contact_case import LAWS, STRETCHED, contacts_of, drive, pushed_posts, pushes, simulator, ternary
 from scipy.spatial.transform import Rotation
 
-#: One choice for all tests here and for `test_independent_worlds`: a kernel of contact takes 10 s to compile.
-LAWS = {
-    "cubic_stiffness": {"cubic_radm2": 2.0},
-    "dry_friction": {"torque_Nm": 0.4},
-    "plastic_set": {"share": 0.5, "yield_rad": 0.03, "isotropic": 0.4},
-    "quadratic_drag": {"coefficient_kgpm3": 2.0},
-    "tip_mass": {"mass_kg": 0.05},
-    "wind_gust": {"sine_x_Pa": 40.0, "cosine_y_Pa": 20.0, "frequency_Hz": 0.7},
-}
 FAR = (6.0, 0.0, 0.0)
 
 

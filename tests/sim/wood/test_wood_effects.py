@@ -50,10 +50,15 @@ def test_every_joint_has_its_share():
 
 
 def test_a_task_s_worlds_feel_the_wind_and_live_it_again():
-    """Bend otherwise than in a calm; go back to a snapshot and on to the same bits, memories and gusts included."""
+    """Bend otherwise than in a calm; go back to a snapshot and on to the same bits, memories and gusts included.
+
+    Laws that are off stand beside them, so that the kernel is one that other tests have (`oracles.contact_case.LAWS`).
+    """
     plain = PRESETS["cpu"]
     given = (("wind_gust", "sine_x_Pa", 200.0), ("wind_gust", "frequency_Hz", 0.5),
-             ("plastic_set", "share", 0.5), ("plastic_set", "yield_rad", 0.01))  # fmt: skip
+             ("plastic_set", "share", 0.5), ("plastic_set", "yield_rad", 0.01),
+             ("cubic_stiffness", "cubic_radm2", 0.0), ("dry_friction", "torque_Nm", 0.0),
+             ("quadratic_drag", "coefficient_kgpm3", 0.0), ("tip_mass", "mass_kg", 0.0))  # fmt: skip
     windy = of_wood(plain, plain.scene.wood, given)
     tasks = [make_task("powerline", s, num_envs=8, seed=3, device="cpu") for s in (plain, windy)]
     seen = [task.step(torch.zeros(8, 6))[0]["policy"].clone() for task in tasks for _ in range(10)]
