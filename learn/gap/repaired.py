@@ -17,7 +17,7 @@ from ...sim.effects import effect_of
 from ...sim.effects.registry import Form
 from ..cases.case import BranchCase
 from ..inference.posterior import Posterior
-from ..inference.replayed import held_out, replay_model
+from ..inference.replayed import Replayed, held_out, replay_model
 from ..inference.report import unit_of
 from ..systems.acting import Acting
 from ..systems.joint_file import JointModel
@@ -82,10 +82,24 @@ def repair(base: Base, decision: Decision, run: Run) -> Repaired:
     claimed = decision.verdict != "unknown" or not decision.final.members
     models = [model_from(contest, decision.base, before), model_from(contest, decision.final, after, claimed=claimed)]
     seen = [replay_model(contest.case, m, off_in(contest, m)) for m in models]
-    floor = float(np.sqrt(np.mean(base.noise.sigma[list(seen[0].main)] ** 2)))
-    gap = Gap(seen[0].rms, seen[1].rms, floor, unit_of(contest.case), seen[0].test)
+    gap = Gap(seen[0].rms, seen[1].rms, noise_floor(base, seen[0]), unit_of(contest.case), seen[0].test)
     return Repaired(models[1], gap, before, after, seen[0].output, seen[1].output, posterior, parameters,
                     implausible(contest, decision, parameters))  # fmt: skip
+
+
+def noise_floor(base: Base, seen: Replayed) -> float:
+    """Return the rms that a perfect model would leave in the recordings held out, in the unit of the main channels.
+
+    That is noise of the sensor, and of a branch also what noise of the recorded force does to the simulated motion.
+    """
+    contest, main = base.contest, list(seen.main)
+    count, longest, channels = contest.measured.shape
+    variance = np.ones((count, longest, channels))
+    if contest.colour is not None:
+        variance += contest.colour.variance((longest, channels)).cpu().numpy()
+    variance *= base.noise.sigma**2
+    parts = [variance[j, : len(seen.recordings[j].t), main].ravel() for j in seen.test]
+    return float(np.sqrt(np.concatenate(parts).mean()))
 
 
 def refitted(contest: Contest, decision: Decision, train: Sequence[int]) -> Fits:

@@ -163,7 +163,7 @@ def _repaired(d: Diagnosis) -> str:
 
 
 def _floor(d: Diagnosis) -> str:
-    text = "What a perfect model would leave: the noise of the sensors alone."
+    text = "What a perfect model would leave: the noise of the sensors alone, that of a branch's force included."
     if d.scatter is not None or d.gap.base < GOOD_SENSOR * d.gap.noise_floor:
         return text
     return f"{text} It says little here; record one experiment twice to see what a model can reach."

@@ -19,10 +19,12 @@ from bough.learn.gap.models.fitted import Model
 from bough.learn.gap.models.refit import fit
 from bough.learn.gap.posterior import at_bound
 from bough.learn.gap.prepare import Base
-from bough.learn.gap.repaired import implausible, off_in, repair
+from bough.learn.gap.repaired import implausible, noise_floor, off_in, repair
 from bough.learn.gap.run import Run
-from bough.learn.inference.replayed import replay_model
+from bough.learn.inference.replayed import Replayed, held_out, replay_model
 from bough.learn.replay.recording import recordings
+from bough.learn.replay.rollout import Rollout
+from bough.learn.replay.simulated_case import Experiment, random_branch, write_simulated_case
 from bough.learn.runs.threads import one_thread
 from bough.learn.systems.model_file import model_of, write_model
 from bough.learn.systems.system import Parameter
@@ -185,3 +187,25 @@ def test_a_strength_of_either_sign_may_be_stopped_at_either_end(share, left):
     fitted = SimpleNamespace(contest=contest, reduced_chi2=lambda model: 2.0)
     batch = SimpleNamespace(free=torch.tensor([[share]]))
     assert bool(stretched(fitted, Model((0,), SimpleNamespace(batch=batch)))) is left
+
+
+def test_the_noise_floor_holds_what_a_noisy_force_does(tmp_path):
+    """Say what a perfect model leaves where the force's noise shakes it more than the sensor's: its residual, to 10 %.
+
+    A stiff branch swings once in five samples. The residual of two held-out recordings has a hundred independent
+    values and more, so its rms is known to 7 %. The sensor's noise alone is an eighth of it.
+    """
+    rng = np.random.default_rng(7)
+    meta = random_branch(rng, 1)
+    inertia = meta["segments"][0]["mass_kg"] * meta["segments"][0]["length_m"] ** 2 / 3
+    truth = {"stiffness": np.array([60.0**2 * inertia]), "damping": np.array([0.2 * 60.0 * inertia])}
+    experiment = Experiment(samples=110, force_noise=0.02, noise=0.005, deflection=0.03)
+    case = write_simulated_case(tmp_path / "case", meta, truth, experiment, trajectories=6, seed=3)
+    with one_thread():
+        base = preparing.prepare(case, Run(Settings(("tip_mass",), particles=0)))
+        values = torch.tensor([[truth["stiffness"][0], truth["damping"][0]]])
+        output = Rollout(case, recordings(case), 1)(values)[0].double().numpy()
+    train, test = held_out(case)
+    seen = Replayed(recordings(case), output, tuple(train), tuple(test), (0, 1, 2))
+    assert noise_floor(base, seen) == pytest.approx(seen.rms, rel=0.1)
+    assert np.sqrt(np.mean(base.noise.sigma[:3] ** 2)) < 0.3 * seen.rms

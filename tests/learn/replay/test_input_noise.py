@@ -92,7 +92,7 @@ def test_noise_does_no_damage(tmp_path):
         assert (colour.basis == plain.basis).all() and (colour.gain == plain.gain).all()
 
 
-@pytest.mark.parametrize("samples", [110, 200])
+@pytest.mark.parametrize("samples", [110, 200, 400])
 def test_fast_answers_are_seen(tmp_path, samples):
     """Whiten a stiff branch, which swings once in five samples, as well as a soft one.
 
