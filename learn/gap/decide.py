@@ -190,8 +190,10 @@ def chosen(fitted: FittedModels, most: int) -> Model:
         if not further or not _worth_more(fitted, best, further[0]):
             break
         best = further[0]
-    wide = [m for m in fitted.models if len(m.members) > most]
-    widest = min(wide, key=fitted.criterion, default=best)
+    wide = [m for m in fitted.models if len(m.members) > most and len(set(fitted.names(m))) == 1]
+    if not fits_torque(fitted.contest.case) or not wide:
+        return best
+    widest = min(wide, key=fitted.criterion)
     return widest if fitted.criterion(best) - fitted.criterion(widest) > FURTHER else best
 
 
