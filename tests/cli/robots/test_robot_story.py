@@ -60,6 +60,16 @@ def newest(stream):
     return said
 
 
+@pytest.fixture
+def ended():
+    """Return what takes processes that must not outlive a test, however it ends."""
+    processes = []
+    yield processes.append
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
 def some_touch_model(folder):
     """Write a model that knows nothing, whose probabilities are about a half."""
     pytest.importorskip("sklearn")
@@ -252,14 +262,16 @@ def test_many_requests_leave_the_loop_its_rate(served):
     assert pace["median_s"] == pytest.approx(1 / 60, rel=0.05)
 
 
-def test_a_full_disk_stops_the_arm_and_kill_leaves_a_whole_log(tmp_path):
+def test_a_full_disk_stops_the_arm_and_kill_leaves_a_whole_log(tmp_path, ended):
     """Fill the disk in a motion: stop, keep the log readable, stay stopped with room again; then kill with -9."""
     if not sys.platform.startswith("linux"):
         pytest.skip("a limit on another process's files is Linux's")
     limits = tmp_path / "limits.yaml"
     limits.write_text("format: robot-limits/1\nspeed_degps: [10, 10, 10, 10, 10, 10]\n")
     served = Served(tmp_path, "--away", "10", "--limits", limits, "--touch", some_touch_model(tmp_path))
+    ended(served.process)
     client = moving_client(served, "stream")
+    ended(client)
     log = served.out / "ticks.csv"
     limit_files(served.process.pid, size_of(log) + 5000)
     end = time.monotonic() + 20
@@ -269,7 +281,9 @@ def test_a_full_disk_stops_the_arm_and_kill_leaves_a_whole_log(tmp_path):
     status = served.ask("/status")[1]
     assert "log cannot be written" in status["cause"] and served.ask("/arm", {"stop": 1})[0] == 409
     whole = served.log()
-    assert log.read_bytes().endswith(b"\n") and whole["state"][-1] == "moving"
+    assert whole["state"][-1] == "moving"
+    while not log.read_bytes().endswith(b"\n"):  # a part of a line stands there until it is cut, at once
+        assert time.monotonic() < end
     time.sleep(0.5)
     limit_files(served.process.pid, -1)
     time.sleep(0.5)
