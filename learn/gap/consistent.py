@@ -15,11 +15,12 @@ from dataclasses import replace
 
 from ...sim.effects import effect_of
 from .decide import probe_for
-from .diagnosis import Diagnosis, together
+from .diagnosis import Diagnosis, joints_of, together
 from .evidence import ALARM, LACK, lack_of
 
-#: Held-out error over the noise floor from which it is more than noise. Noise of the force and refits to fewer
-#: recordings bring right models above it too: 1.02 to 1.30 in practice cases, 1.05 to 1.16 in the median of an exam.
+#: Held-out error over the noise floor from which it is more than noise. Refits to fewer recordings bring right models
+#: above it too; 1.02 to 1.30 in practice cases while the floor was the sensor's noise alone, 1.05 to 1.16 in the median
+#: of an exam.
 FAR = 2.0
 #: The same where the excess is this share of the motion: an excess as large as noise itself, as it is asked of what the
 #: fits leave. Of 78 cases of joints without an effect one had more, 1.54 times, but 0.9 % of the motion.
@@ -329,9 +330,7 @@ def share(explained: float) -> str:
 
 def _named(d: Diagnosis) -> str:
     """Return the named effects in words, each once with all its joints."""
-    joints: dict[str, list[str]] = {}
-    for a in d.effects:
-        joints.setdefault(a.name, []).extend([] if a.joint is None else [str(a.joint)])
+    joints = joints_of([a.label for a in d.effects])
     return " and ".join(f"{name}{_at(own)}" for name, own in joints.items()) or "an effect"
 
 

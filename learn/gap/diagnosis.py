@@ -88,13 +88,18 @@ class Rival:
     cross_validated: float | None = None
 
 
-def together(labels: Sequence[str]) -> str:
-    """Return the labels of a model's effects in one, such as ``dry_friction@0, 1 + time_delay``; empty for none."""
+def joints_of(labels: Sequence[str]) -> dict[str, list[str]]:
+    """Return the effects that labels such as ``dry_friction@1`` name, each once, with the joints that they have."""
     joints: dict[str, list[str]] = {}
     for label in labels:
         name, at, joint = label.partition("@")
         joints.setdefault(name, []).extend([joint] if at else [])
-    return " + ".join(f"{name}@{', '.join(own)}" if own else name for name, own in joints.items())
+    return joints
+
+
+def together(labels: Sequence[str]) -> str:
+    """Return the labels of a model's effects in one, such as ``dry_friction@0, 1 + time_delay``; empty for none."""
+    return " + ".join(f"{name}@{', '.join(own)}" if own else name for name, own in joints_of(labels).items())
 
 
 @dataclass(frozen=True)

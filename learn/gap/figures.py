@@ -219,7 +219,7 @@ def gap_figure(
     Args:
         base: Of the base model.
         repaired: Of the repaired model.
-        noise_floor: Of the sensors alone.
+        noise_floor: What noise alone leaves.
         unit: Of all.
         scatter: Scatter of repeats, None where nothing was repeated.
         name: What kind of error it is.

@@ -262,7 +262,7 @@ def _parameters(d: Diagnosis) -> list[ParameterRow]:
 def _tables(d: Diagnosis) -> list[ReportTable]:
     header = ("model", "reduced chi-squared", "ΔIC", "explained", "cross-validated")
     rows: list[tuple[object, ...]] = [
-        (_called(r) or BASE, r.reduced_chi2, r.delta, share(r.explained),
+        (together(r.effects) or BASE, r.reduced_chi2, r.delta, share(r.explained),
          "not computed" if r.cross_validated is None else r.cross_validated)
         for r in _ranked(d)
     ]  # fmt: skip
@@ -285,10 +285,6 @@ def _ranked(d: Diagnosis) -> list[Rival]:
     """Return the best models, and the base model wherever it ranks."""
     best = list(d.ranking[:RIVALS])
     return best + [r for r in d.ranking[RIVALS:] if not r.effects]
-
-
-def _called(rival: Rival) -> str:
-    return together(rival.effects)
 
 
 def _details(d: Diagnosis) -> dict[str, object]:
@@ -333,7 +329,7 @@ def _figures(d: Diagnosis) -> list[ReportFigure]:
                      " grey: no data.", _darkest(d, base.of_motion, best.of_motion, base.edges)),
         _before_after(d),
         _loops(d) if isinstance(d.case, BranchCase) else _against_motion(d, d.case),
-        ReportFigure("ranking.png", ranking_figure([_called(r) for r in ranked], delta, explained),
+        ReportFigure("ranking.png", ranking_figure([together(r.effects) for r in ranked], delta, explained),
                      "Model comparison: information criterion minus the preferred model's; shorter is better.",
                      _runner_up(d, ranked)),
         ReportFigure("parts.png", shares_figure(base.shares, best.shares),
@@ -370,7 +366,7 @@ def _runner_up(d: Diagnosis, ranked: Sequence[Rival]) -> str:
         return ""
     first = min(others, key=lambda r: r.delta)
     near = "cannot be told apart from it" if abs(first.delta) <= TIED else f"is {number(first.delta)} behind"
-    return f"The best other explanation, {_called(first)}, {near}."
+    return f"The best other explanation, {together(first.effects)}, {near}."
 
 
 def _loudest(base: Sequence[Share], best: Sequence[Share]) -> str:

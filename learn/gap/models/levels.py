@@ -75,14 +75,14 @@ def next_level(contest: Contest, leaders: Sequence[Model], progress: Progress) -
     return _halved(contest, *_started(contest, scans, every=False), progress)
 
 
-def reduced(contest: Contest, models: Sequence[Model]) -> list[Model]:
+def reduced(contest: Contest, models: Sequence[Model], iterations: int = ITERATIONS[-1]) -> list[Model]:
     """Return models with one of their effects removed, refitted from their present parameters.
 
     An effect that fails from the base may succeed from a model whose other parameters are already near.
     """
     begun = [(tuple(m for m in model.members if m != c), _without(contest, model.fit.batch, [c]))
              for model in models for c in model.members]  # fmt: skip
-    return _settled(contest, begun, ITERATIONS[-1])
+    return _settled(contest, begun, iterations)
 
 
 def moved(contest: Contest, models: Sequence[Model]) -> list[Model]:

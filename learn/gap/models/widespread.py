@@ -10,8 +10,9 @@ from collections.abc import Sequence
 
 from ...cases.case import JointCase
 from ...replay.equation_error import fits_torque
-from .contest import Batch
+from .contest import Batch, activated
 from .fitted import FURTHER, FittedModels, Model, overdispersion, penalty
+from .levels import reduced
 from .refit import fit
 
 #: Laws that are tried: those of the leading models with one effect.
@@ -43,7 +44,7 @@ def _pruned(fitted: FittedModels, name: str, most: int) -> list[Model]:
         return []
     model = Model(members, fit(fitted.contest, _begun(fitted, members), STEPS), True)
     while len(model.members) > most:
-        parts = _parts(fitted, model)
+        parts = reduced(fitted.contest, [model], LESS)
         idle = [m for m in parts if not _pays(fitted, model, m)]
         if not idle:
             return [model, *parts]
@@ -53,24 +54,12 @@ def _pruned(fitted: FittedModels, name: str, most: int) -> list[Model]:
 
 def _begun(fitted: FittedModels, members: Sequence[int]) -> Batch:
     """Return the base with a law at several joints, at each as it was fitted there alone."""
-    out = fitted.base.fit.batch.copy()
+    out = activated(fitted.contest, fitted.base.fit.batch, [members])
     for c in members:
         own = list(fitted.contest.candidates[c].columns)
         alone = min((m for m in fitted.of_size(1) if m.members == (c,)), key=lambda m: m.cost, default=None)
-        out.active[:, own] = True
         out.free[:, own] = fitted.contest.centre[own] if alone is None else alone.fit.batch.free[:, own]
     return out
-
-
-def _parts(fitted: FittedModels, model: Model) -> list[Model]:
-    """Return the models with a joint less, fitted from where the model is."""
-    begun = []
-    for c in model.members:
-        own = model.fit.batch.copy()
-        own.active[:, list(fitted.contest.candidates[c].columns)] = False
-        begun.append(own)
-    fits = fit(fitted.contest, Batch.joined(begun), LESS)
-    return [Model(tuple(m for m in model.members if m != c), fits.one(s), True) for s, c in enumerate(model.members)]
 
 
 def _pays(fitted: FittedModels, model: Model, part: Model) -> bool:

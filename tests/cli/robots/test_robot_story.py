@@ -282,6 +282,7 @@ def test_a_full_disk_stops_the_arm_and_kill_leaves_a_whole_log(tmp_path, ended):
     assert "log cannot be written" in status["cause"] and served.ask("/arm", {"stop": 1})[0] == 409
     whole = served.log()
     assert whole["state"][-1] == "moving"
+    end = time.monotonic() + 1.0
     while not log.read_bytes().endswith(b"\n"):  # a part of a line stands there until it is cut, at once
         assert time.monotonic() < end
     time.sleep(0.5)

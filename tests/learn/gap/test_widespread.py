@@ -37,7 +37,7 @@ def write(folder, torque):
     for r in range(3):
         w = 2.0 * np.pi * rng.uniform(0.1, 0.4, (4, 3, 1))
         a, phase = rng.uniform(0.1, 0.4, (4, 3, 1)), rng.uniform(0.0, 6.28, (4, 3, 1))
-        q, v, b = (a * np.sin(w * t + phase)).sum(1), (a * w * np.cos(w * t + phase)).sum(1), None
+        q, v = (a * np.sin(w * t + phase)).sum(1), (a * w * np.cos(w * t + phase)).sum(1)
         b = -(a * w**2 * np.sin(w * t + phase)).sum(1)
         needed = np.empty((1000, 4))
         for n in range(1000):
