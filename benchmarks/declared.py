@@ -175,7 +175,7 @@ BENCHMARKS = (
         ("--device", "cpu", "--worlds", "64", "--rounds", "3"), bounds=_perception_bounds(1.0, 10.0),
     ),
     Benchmark(
-        "perception_gpu", f"{_POINTS}, on a GPU.", _TORCH, "perception", 2, ("--device", "cuda:0"),
+        "perception_gpu", f"{_POINTS}, on a GPU.", _TORCH, "perception", 2, ("--device", "cuda:0", "--worlds", "4096"),
         ("--device", "cuda:0", "--worlds", "64", "--rounds", "3"), bounds=_perception_bounds(5.0, 5.0), device="gpu",
     ),
     Benchmark(

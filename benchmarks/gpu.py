@@ -1,6 +1,6 @@
 """Check and measure bough on a GPU: one command, under nine minutes, no network.
 
-    python benchmarks/gpu.py --out DIR [--device cuda:0] [--quick] [--record FILE]
+    python benchmarks/gpu.py --out DIR [--device cuda:0] [--quick] [--only SECTION ...] [--record FILE]
 
 Writes ``gpu.json`` and ``gpu.md`` to DIR after every section, so that a run that is cut short leaves what it had.
 Exits with 1 if a check failed. Needs NumPy, torch, Warp and, for the last check, Newton; runs from a checkout that is
@@ -221,6 +221,9 @@ ARM: dict[str, Callable[[str, bool], dict[str, Any]]] = {
     "arm, embedding": gpu_arm.measure_embedding,
 }
 
+#: What ``--only`` may name.
+SECTIONS = (*CHECKS, *ARM, "speed", "training")
+
 
 # ---- speed -------------------------------------------------------------------------------------------------------
 
@@ -341,12 +344,15 @@ def guarded(work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 def sections(options: argparse.Namespace, report: dict[str, Any]) -> None:
     """Run every section and save the report after each; what time does not allow is named in ``left_out``."""
     begun = time.perf_counter()
+    wanted = set(options.only or SECTIONS)
     for kind, work in (("checks", CHECKS), ("arm", ARM)):
         for name, section in work.items():
+            if name not in wanted:
+                continue
             report[kind][name] = guarded(lambda section=section: section(options.device, options.quick))
             print(name, report[kind][name], flush=True)
             save(report, options.out)
-    for order, worlds, substeps, drop in plan(options.quick):
+    for order, worlds, substeps, drop in plan(options.quick) if "speed" in wanted else []:
         name = f"{'mixed ' if drop else ''}{SIZES[order]} links x {worlds}, substeps {substeps}"
         if time.perf_counter() - begun > options.budget / 2:  # the other half is for training
             report["left_out"].append(name)
@@ -355,6 +361,8 @@ def sections(options: argparse.Namespace, report: dict[str, Any]) -> None:
         print(name, run, flush=True)
         (report["speed"].append(run | {"name": name}) if "error" not in run else report["checks"].update({name: run}))
         save(report, options.out)
+    if "training" not in wanted:
+        return
     left = options.budget - (time.perf_counter() - begun)
     training = guarded(lambda: gpu_arm.measure_training(options.device, options.quick, left, options.out / "run"))
     report["arm"]["training"] = training
@@ -388,6 +396,7 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--out", type=Path, required=True, help="folder for gpu.json and gpu.md")
     found.add_argument("--device", default="cuda:0", help="Warp device")
     found.add_argument("--quick", action="store_true", help="tiny sizes, to try the script")
+    found.add_argument("--only", nargs="+", choices=SECTIONS, metavar="SECTION", help=f"of {', '.join(SECTIONS)}")
     found.add_argument("--budget", type=float, default=460.0, help="seconds; measuring takes half, training the rest")
     return found
 

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,14 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 THESIS_EMBEDDING, THESIS_SUCCESS = 1.2e-3, 68.4
 
 
-def _task(device: str, quick: bool, worlds: int, test: bool = False) -> Any:
+@lru_cache(maxsize=2)
+def _task(device: str, quick: bool, worlds: int) -> Any:
+    """Return a task of so many worlds, the same one for all sections: building 6144 takes half a minute."""
     from bough.learn.tasks.clearing import make_task
     from bough.learn.tasks.settings import PRESETS
 
     preset = PRESETS["cpu" if quick else "gpu"]
-    return make_task("powerline", preset, num_envs=worlds, seed=0, device=device, test=test)
+    return make_task("powerline", preset, num_envs=worlds, seed=0, device=device)
 
 
 def _wait(device: str) -> None:
@@ -146,6 +149,7 @@ def measure_training(device: str, quick: bool, seconds: float, out: Path) -> dic
     """Train towards table 5.2 for as long as there is time, then evaluate in unseen worlds with all contacts on."""
     from bough.learn.policies.evaluate import evaluate
     from bough.learn.policies.train import Plan, train
+    from bough.learn.runs.folder import RunFolder
     from bough.learn.tasks.ppo_settings import PRESETS as SIZES
     from bough.learn.tasks.registry import known_tasks
 
@@ -167,6 +171,8 @@ def measure_training(device: str, quick: bool, seconds: float, out: Path) -> dic
     took = time.perf_counter() - begun
     rows = evaluate(out, registry, sets=1 if quick else 3, worlds=8 if quick else 512, device=device,
                     baselines=("zero", "random"))  # fmt: skip
+    last = RunFolder(out).metrics()[-1]
+    pace = {f"{what}_s_an_iteration": last[f"{what}_seconds"] for what in ("collect", "learn")}
     success = {f"{row.policy}_success_percent": row.mean("Test SR %") for row in rows}
-    return {"iterations": done, "policy_steps": done * ppo.horizon * ppo.num_envs, "train_s": took, **success,
+    return {"iterations": done, "policy_steps": done * ppo.horizon * ppo.num_envs, "train_s": took, **pace, **success,
             "thesis_success_percent": THESIS_SUCCESS, "ok": done > 0}  # fmt: skip

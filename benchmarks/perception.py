@@ -42,7 +42,7 @@ from measuring import Figure, in_turn
 from oracles.point_scene import point_scene
 
 REPEATS = 8  # of a launch, timed together
-LEARNT_CLOUDS = 16  # worlds that the slow PointNet++ encoder is timed on
+LEARNT_CLOUDS = {"cpu": 16, "cuda": 256}  # worlds that the slow PointNet++ encoder is timed on
 
 
 def make_sensor(worlds: int, device: str) -> tuple[Sensor, torch.Tensor]:
@@ -107,12 +107,13 @@ def differences(
 # ---- PointNet++ --------------------------------------------------------------------------------------------------
 
 
-def pointnet_of_library() -> Callable[[torch.Tensor], torch.Tensor]:
+def pointnet_of_library(device: torch.device) -> Callable[[torch.Tensor], torch.Tensor]:
     """Return the encoder of PyTorch Geometric's `PointNetConv`; raises ImportError where that is not installed."""
     from torch_geometric.nn import PointNetConv
 
-    levels = [PointNetConv(layers(*sizes), add_self_loops=False) for sizes in ((3, 64, 64, 128), (131, 128, 128, 256))]
-    last = layers(259, 256, 512, 1024)
+    sizes = ((3, 64, 64, 128), (131, 128, 128, 256))
+    levels = [PointNetConv(layers(*size), add_self_loops=False).to(device) for size in sizes]
+    last = layers(259, 256, 512, 1024).to(device)
 
     @torch.no_grad()
     def encode(points: torch.Tensor) -> torch.Tensor:
@@ -120,8 +121,8 @@ def pointnet_of_library() -> Callable[[torch.Tensor], torch.Tensor]:
         for level, step in zip(levels, (2, 4), strict=True):
             batch, count = points.shape[:2]
             centres, index = neighbours(points, step)
-            source = (index + count * torch.arange(batch)[:, None, None]).flatten()
-            goal = torch.arange(batch * centres.shape[1]).repeat_interleave(index.shape[2])
+            source = (index + count * torch.arange(batch, device=device)[:, None, None]).flatten()
+            goal = torch.arange(batch * centres.shape[1], device=device).repeat_interleave(index.shape[2])
             into = None if features is None else (features, None)
             features = level(into, (points.flatten(0, 1), centres.flatten(0, 1)), torch.stack([source, goal]))
             points = centres
@@ -130,12 +131,12 @@ def pointnet_of_library() -> Callable[[torch.Tensor], torch.Tensor]:
     return encode
 
 
-def pointnet() -> tuple[str, Callable[[torch.Tensor], torch.Tensor]]:
-    """Return the encoder that can be had, and whose it is."""
+def pointnet(device: torch.device) -> tuple[str, Callable[[torch.Tensor], torch.Tensor]]:
+    """Return the encoder that can be had, on the device, and whose it is."""
     try:
-        return "PyTorch Geometric", pointnet_of_library()
+        return "PyTorch Geometric", pointnet_of_library(device)
     except ImportError:
-        return "plain torch", torch.no_grad()(PointNet())
+        return "plain torch", torch.no_grad()(PointNet().to(device))
 
 
 # ---- measuring ---------------------------------------------------------------------------------------------------
@@ -253,8 +254,9 @@ def measured(options: argparse.Namespace) -> list[Figure]:
     sensor, observation = make_sensor(options.worlds, options.device)
     rows = torch_rows(sensor)
     found = compared(sensor, observation, rows)
-    source, encode = pointnet()
-    few = sensor.clouds()[0][:LEARNT_CLOUDS, 2].mT.contiguous().cpu()
+    clouds = sensor.clouds()[0]
+    source, encode = pointnet(clouds.device)
+    few = clouds[: LEARNT_CLOUDS[clouds.device.type], 2].mT.contiguous()
     plan = [[repeated(c) for c in block] for block in sensor.plan(split=False)[0]]
     timed_rows: dict[str, Callable[[], object]] = {f"torch {name}": row for name, row in rows.items()}
     timed_rows["PointNet++"] = lambda: encode(few)

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 import warp as wp
 
-from ..kernels.points.cloud import NOWHERE, NUM_CLOUDS, cloud_types
+from ..kernels.points.cloud import NOWHERE, NUM_CLOUDS, TILE, cloud_types
 
 
 class CloudMemory:
@@ -37,9 +37,10 @@ class CloudMemory:
         self._width, self._inside, self._device = width, inside, device
         groups = -(-(points // width) // width)
         bounds = (groups + -(-groups // width)) * width  # of chunks, then of groups of chunks, in whole lanes
+        bounds = bounds if width > 1 else points // TILE
         self.points = self._zeros(rows, NUM_CLOUDS, 3, points)
         self.near = self._zeros(rows, points)
-        self._bound = self._zeros(*((rows, NUM_CLOUDS, 6, bounds) if width > 1 else (1, 1, 1, 1)))
+        self._bound = self._zeros(rows, NUM_CLOUDS, 6, bounds)
         self._bound[:, :, :3] = NOWHERE
         self._bound[:, :, 3:] = -NOWHERE
         self.kernel = cloud_types(width).Clouds()

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..kernels.points.cloud import NUM_CLOUDS, Shapes, blur_kernel, sample_kernel
+from ..kernels.points.cloud import NUM_CLOUDS, Shapes, blur_kernel, sample_kernel, side
 from ..kernels.points.embedding import embed_clouds_kernel
 from ..kernels.points.nearest import Few, finish_kernel, margin_kernel, nearest_kernel, occlusion_kernel
 from ..sim.base.errors import InputError
@@ -33,7 +33,8 @@ STAGES = (
 _EMBEDDED = ("rob", "clr", "wbr", "zbr")
 _LOCAL = ("distances", "breach", "occlusion")
 _BEYOND = 1.001  # the mean of five distances is not below the margin if the fifth is five margins, rounding included
-_TEAM = 32  # GPU threads that share a world's pairs of points
+_TEAM = 32  # GPU threads that share a world's pairs of points: a tile of 512 points each
+_DRAWERS = 8  # GPU threads that draw a cloud together; each adds up all levels, so more of them repeat more
 _BLOCK = 32  # worlds that a CPU thread takes through all kernels at a time: 768 KiB of clouds of 512 points
 
 
@@ -151,7 +152,8 @@ class Sensor:
         self._target = self._target_shapes(target)
         self._block = self.num_worlds if cuda else min(self.num_worlds, _BLOCK)
         self._clouds = self._memory(self._block * self.threads)
-        self._allocate_outputs(_TEAM if self._worlds_inside else 1)
+        self._team, self._drawers = (_TEAM, _DRAWERS) if self._worlds_inside else (1, 1)
+        self._allocate_outputs()
         self._updates: dict[bool, Callable[[], None]] = {}
         self._observation: Any = None
 
@@ -167,8 +169,8 @@ class Sensor:
         points, inside = self.settings.points, self._worlds_inside
         return CloudMemory(rows, points, width=self.width, inside=inside, device=self.device)
 
-    def _allocate_outputs(self, team: int) -> None:
-        s, n = self.settings, self.num_worlds
+    def _allocate_outputs(self) -> None:
+        s, n, team = self.settings, self.num_worlds, self._team
 
         def zeros(dtype: Any, *shape: int) -> Any:
             return wp.zeros((n, *shape), dtype=dtype, device=self.device)
@@ -202,10 +204,11 @@ class Sensor:
                 ``occlusion`` (1 each). A group that is not named is not written.
 
         Raises:
-            InputError: A group that does not exist, or columns outside the tensor.
+            InputError: A group that does not exist, columns outside the tensor, or a tensor on another device.
         """
         size = dict.fromkeys(_EMBEDDED, 2 * self.settings.features) | {"distances": 5, "breach": 1, "occlusion": 1}
         rows, numbers = observation.shape
+        _check_device(observation, self.device)
         for name, first in columns.items():
             if name not in size:
                 raise InputError("sensor", "columns", name, ", ".join(size))
@@ -276,27 +279,31 @@ class Sensor:
         self._blur(0, n, 0, memory, tick, reach).launch()
         return memory.points, memory.near
 
-    def _by_cloud(self, count: int) -> tuple[int, int]:
-        return (count, NUM_CLOUDS) if self.width > 1 else (NUM_CLOUDS, count)
+    def _threads(self, count: int, *inner: int) -> tuple[int, ...]:
+        """Return the threads of a launch for ``count`` worlds: neighbours are neighbouring worlds on a GPU."""
+        beside = side(self.width)
+        return -(-count // beside), *inner, beside
 
     def _sample(self, first: int, count: int, row: int, clouds: CloudMemory, tick: Any) -> Any:
         """Return the launch that draws the clouds of ``count`` worlds from ``first`` into rows from ``row``."""
         cap = float(self.settings.rounded)
-        inputs = [self._capsules, self._num_arm, self._target, cap, self._seed, tick, first, row, clouds.kernel]
-        return recorded(sample_kernel(self.width), self._by_cloud(count), inputs, self.device)
+        place = [first, row, count, self._drawers, clouds.kernel]
+        inputs = [self._capsules, self._num_arm, self._target, cap, self._seed, tick, *place]
+        return recorded(sample_kernel(self.width), self._threads(count, NUM_CLOUDS, self._drawers), inputs, self.device)
 
     def _blur(self, first: int, count: int, row: int, clouds: CloudMemory, tick: Any, reach: Any) -> Any:
         """Return the launch that puts noise up to ``reach`` on those clouds."""
-        inputs = [self._target, self.settings.zoom, self._seed, tick, reach, first, row, clouds.kernel]
-        return recorded(blur_kernel(self.width), self._by_cloud(count), inputs, self.device)
+        place = [first, row, count, self._drawers, clouds.kernel]
+        inputs = [self._target, self.settings.zoom, self._seed, tick, reach, *place]
+        return recorded(blur_kernel(self.width), self._threads(count, NUM_CLOUDS, self._drawers), inputs, self.device)
 
     def _scored(self, first: int, count: int, row: int, found: Any, pair: Any) -> list[Any]:
         """Return the launches that count occluding pairs and find those closest to the robot, on clouds as they are."""
-        s, w, team = self.settings, self.width, self._count.shape[1]
+        s, w = self.settings, self.width
         near, limit = s.margin**2 * _BEYOND, (5 * s.margin) ** 2 * _BEYOND
-        clouds, dim = self._clouds.kernel, (team, count)
-        occluding = [clouds, _squared(s.threshold), s.pairs, first, row, found]
-        closest = [clouds, near, limit, first, row, pair]
+        clouds, dim = self._clouds.kernel, self._threads(count, self._team)
+        occluding = [clouds, _squared(s.threshold), s.pairs, first, row, count, found]
+        closest = [clouds, near, limit, first, row, count, pair]
         return [
             recorded(occlusion_kernel(w), dim, occluding, self.device),
             recorded(margin_kernel(w), dim, closest, self.device),
@@ -304,11 +311,10 @@ class Sensor:
 
     def _commands(self, first: int, count: int, row: int) -> list[Any]:
         """Return the launches (`STAGES`) for ``count`` worlds from ``first``, whose clouds go to rows from ``row``."""
-        s, w, team = self.settings, self.width, self._count.shape[1]
+        s, w = self.settings, self.width
         embedded, local = self._columns
         waves = s.features if self._worlds_inside else 1
-        by_wave = (count, NUM_CLOUDS, waves) if w > 1 else (waves, NUM_CLOUDS, count)
-        clouds, place = self._clouds.kernel, (first, row)
+        clouds, place = self._clouds.kernel, (first, row, count)
         embed = [clouds, self._waves, embedded, *place, waves, self._observation]
         nearest = [clouds, self._ee, s.farthest**2, *place, self._point]
         finish = [self._true_count, self._true_pair, self._count, self._point, self._pair, s.pairs, s.margin, local,
@@ -318,12 +324,19 @@ class Sensor:
             self._sample(first, count, row, self._clouds, self._tick),
             *self._scored(first, count, row, self._true_count, self._true_pair),
             self._blur(first, count, row, self._clouds, self._tick, self._max_noise),
-            recorded(embed_clouds_kernel(w), by_wave, embed, self.device),
+            recorded(embed_clouds_kernel(w), self._threads(count, NUM_CLOUDS, waves), embed, self.device),
             occlusion,
-            recorded(nearest_kernel(w), (team, count), nearest, self.device),
+            recorded(nearest_kernel(w), self._threads(count, self._team), nearest, self.device),
             margin,
             recorded(finish_kernel, (count,), finish, self.device),
         ]
+
+
+def _check_device(observation: torch.Tensor | wp.array, device: Any) -> None:
+    """Refuse memory that the kernels cannot reach: they would write to wild addresses."""
+    theirs = wp.device_from_torch(observation.device) if isinstance(observation, torch.Tensor) else observation.device
+    if theirs != device:
+        raise InputError("sensor", "observation", f"memory of {theirs}", f"memory of {device}, the sensor's device")
 
 
 def _squared(distance: float) -> float:

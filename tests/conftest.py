@@ -12,6 +12,9 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 # that takes 17 s alone. One thread each, set before torch is imported; commands that tests start inherit it.
 for library in ("OMP", "OPENBLAS"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+# Tests are about the CPU, whose numbers they know to the bit, and which Warp would not choose where there is a GPU. The
+# GPU has `benchmarks/gpu.py`, which compares it with the CPU.
+os.environ["CUDA_VISIBLE_DEVICES"] = ""
 # What a shell runs in the background ignores Ctrl-C, and so would every command that tests start and interrupt.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -38,7 +38,10 @@ from ..lanes.across import (
 )
 from ..lanes.real import SOURCE, add, div, fma, fnma, lane, mul, real, real_type, sqrt_, sub, where_neg
 
-__all__ = ["BRANCHES", "NOWHERE", "NUM_CLOUDS", "ROBOT", "TARGET", "blur_kernel", "cloud_types", "sample_kernel"]
+__all__ = [
+    "BRANCHES", "NOWHERE", "NUM_CLOUDS", "ROBOT", "TARGET", "TILE", "blur_kernel", "cloud_types", "sample_kernel",
+    "side",
+]  # fmt: skip
 
 ROBOT = wp.constant(0)
 TARGET = wp.constant(1)
@@ -52,6 +55,7 @@ NOISE_XY = wp.constant(2)
 NOISE_Z = wp.constant(3)
 
 TWO_PI = wp.constant(6.283185307179586)
+TILE = wp.constant(16)  # points that a GPU thread holds in registers, and that share a box
 NOWHERE = wp.constant(1.0e18)  # m, where the box of a chunk that does not exist begins
 FAR_EDGE = wp.constant(1.0e30)
 
@@ -74,7 +78,8 @@ def cloud_types(width: int = 1) -> SimpleNamespace:
     ``point`` [rows, clouds, 3, chunks] in m and ``flat`` [rows, clouds, 3, points] are one memory; ``near``
     [rows, chunks] is 1 for branch points near the target; ``bound`` and ``box`` (one memory) hold the least and the
     greatest coordinates of chunks [rows, clouds, 6, ...], whole lanes of them, and then those of the groups of
-    ``width`` chunks; ``present`` [rows, clouds] is 0 for a cloud without points.
+    ``width`` chunks; of every `TILE` points where there are no lanes; ``present`` [rows, clouds] is 0 for a cloud
+    without points.
     """
     Real = real_type(width)
 
@@ -90,6 +95,11 @@ def cloud_types(width: int = 1) -> SimpleNamespace:
         present: wp.array2d(dtype=int)
 
     return SimpleNamespace(Real=Real, Clouds=Clouds)
+
+
+def side(width: int) -> int:
+    """Return how many neighbouring threads are neighbouring worlds, a kernel's innermost dimension: a warp on a GPU."""
+    return 32 if width == 1 else 1
 
 
 @wp.func
@@ -223,6 +233,79 @@ def spread_points(
 
 
 @wp.func
+def sum_levels(key: wp.uint32, n: int, points: int, begin: int):
+    """Sum of the exponential numbers before point ``begin``, and of all with one more, added up in one order always."""
+    reached = wp.float32(0.0)
+    before = wp.float32(0.0)
+    for p in range(points):
+        if p == begin:
+            before = reached
+        reached = reached - log_(uniform_high(key, n + p, reached))
+    return before, reached - log_(uniform_high(key, n + LAST_LEVEL * points, reached))
+
+
+@wp.func
+def store_point(
+    row: int, k: int, p: int, ahead: float, h: float, start: wp.vec3, frame: wp.mat33, length: float, r: float,
+    cap: float, c: Any,
+):  # fmt: skip
+    """Put point p of cloud k on a capsule, its level ``ahead`` of the capsule's first and its angle 2 pi h."""
+    cosine, sine = direction(h)
+    x, y, z = on_capsule(ahead, cosine, sine, start, frame, length, r, cap)
+    c.flat[row, k, 0, p] = x
+    c.flat[row, k, 1, p] = y
+    c.flat[row, k, 2, p] = z
+
+
+@wp.func
+def spread_part(
+    w: int, s: Shapes, first: int, last: int, cap: float, row: int, k: int, key: wp.uint32, begin: int, end: int, c: Any
+):
+    """Draw points begin ... end - 1 of what `spread_points` draws, to the bit: a GPU thread's part of a cloud.
+
+    Every thread of the cloud adds up all levels, which costs less than a launch that would hand them on.
+    """
+    total, final = measure_shapes(w, s, first, last, cap)
+    c.present[row, k] = wp.where(final < 0, 0, 1)
+    points = c.flat.shape[3]
+    n = k * STREAMS * points
+    reached, whole = sum_levels(key, n, points, begin)
+    scale = total / whole
+    p = wp.int32(begin)
+    reached = reached - log_(uniform_high(key, n + p, reached))
+    edge = wp.float32(0.0)
+    for i in range(first, final + 1):
+        r = s.radius[w, i]
+        start = s.start[w, i]
+        axis = s.end[w, i] - start
+        length = wp.length(axis)
+        area = capsule_area(r, length, cap)
+        if area > 0.0:
+            start_level = edge
+            edge = wp.where(i == final, FAR_EDGE, edge + area)
+            if p < end and reached * scale < edge:
+                frame = frame_of(axis, length)
+                while p < end and reached * scale < edge:
+                    h = centred_low(key, n + p, reached)
+                    store_point(row, k, p, reached * scale - start_level, h, start, frame, length, r, cap, c)
+                    p = p + 1
+                    reached = reached - log_(uniform_high(key, n + p, reached))
+
+
+@wp.func
+def bound_tile(row: int, k: int, j: int, c: Any):
+    """Note the least and the greatest coordinates of the points of tile j."""
+    for m in range(3):
+        low = c.flat[row, k, m, TILE * j]
+        high = low
+        for q in range(TILE * j + 1, TILE * j + TILE):
+            low = wp.min(low, c.flat[row, k, m, q])
+            high = wp.max(high, c.flat[row, k, m, q])
+        c.bound[row, k, m, j] = low
+        c.bound[row, k, 3 + m, j] = high
+
+
+@wp.func
 def normal_pair(key: wp.uint32, n: int, variance: float, like: Any):
     """sqrt(-2 variance log u) times cos and sin of 2 pi v (Box and Muller), u and v of 16 bits: within 4.9 sigma."""
     size = sqrt_(log_(uniform_high(key, n, like)) * (-2.0 * variance))
@@ -231,34 +314,60 @@ def normal_pair(key: wp.uint32, n: int, variance: float, like: Any):
 
 
 @wp.func
-def add_noise(row: int, k: int, sigma: float, key: wp.uint32, lanes: int, c: Any):
-    """Move every coordinate of every point by Gaussian noise of deviation sigma [m].
+def half_of(chunks: int, lanes: int):
+    """Chunks of the first half of a cloud, whole ones of 16 points."""
+    return 16 * ((chunks * lanes + 31) // 32) // lanes
 
-    Three pairs of normal numbers serve two points, one of each half of the cloud; a half is whole chunks of 16.
+
+@wp.func
+def move_pair(k: int, j: int, half: int, variance: float, key: wp.uint32, lanes: int, x: Any, y: Any, z: Any):
+    """Move chunks j and j + half of cloud k by Gaussian noise on every coordinate.
+
+    Three pairs of normal numbers serve two points, one of each half of the cloud.
     """
+    chunks = x.shape[0]
+    other = j + half
+    first_xy = (k * STREAMS + NOISE_XY) * chunks * lanes
+    first_z = (k * STREAMS + NOISE_Z) * chunks * lanes
+    zero = real(0.0, x[0])
+    up, up_other = normal_pair(key, first_z + j * lanes, variance, zero)
+    east, north = normal_pair(key, first_xy + j * lanes, variance, zero)
+    x[j] = x[j] + east
+    y[j] = y[j] + north
+    z[j] = z[j] + up
+    if other < chunks:
+        east, north = normal_pair(key, first_xy + other * lanes, variance, zero)
+        x[other] = x[other] + east
+        y[other] = y[other] + north
+        z[other] = z[other] + up_other
+
+
+@wp.func
+def add_noise(row: int, k: int, sigma: float, key: wp.uint32, lanes: int, c: Any):
+    """Move every coordinate of every point by Gaussian noise of deviation sigma [m]."""
     x = c.point[row, k, 0]
     y = c.point[row, k, 1]
     z = c.point[row, k, 2]
-    chunks = x.shape[0]
-    half = 16 * ((chunks * lanes + 31) // 32) // lanes
-    first_xy = (k * STREAMS + NOISE_XY) * chunks * lanes
-    first_z = (k * STREAMS + NOISE_Z) * chunks * lanes
-    variance = sigma * sigma
-    zero = real(0.0, x[0])
+    half = half_of(x.shape[0], lanes)
     j = wp.int32(0)
     while j < half:
-        other = j + half
-        up, up_other = normal_pair(key, first_z + j * lanes, variance, zero)
-        east, north = normal_pair(key, first_xy + j * lanes, variance, zero)
-        x[j] = x[j] + east
-        y[j] = y[j] + north
-        z[j] = z[j] + up
-        if other < chunks:
-            east, north = normal_pair(key, first_xy + other * lanes, variance, zero)
-            x[other] = x[other] + east
-            y[other] = y[other] + north
-            z[other] = z[other] + up_other
+        move_pair(k, j, half, sigma * sigma, key, lanes, x, y, z)
         j = j + 1
+
+
+@wp.func
+def add_noise_part(row: int, k: int, sigma: float, key: wp.uint32, t: int, team: int, c: Any):
+    """Move every ``team``-th tile from t of the first half and its peer of the second, and note their bounds anew."""
+    x = c.point[row, k, 0]
+    y = c.point[row, k, 1]
+    z = c.point[row, k, 2]
+    half = half_of(x.shape[0], 1)
+    for j in range(t, half // TILE, team):
+        for p in range(TILE * j, TILE * j + TILE):
+            move_pair(k, p, half, sigma * sigma, key, 1, x, y, z)
+        bound_tile(row, k, j, c)
+        if half + TILE * j < c.flat.shape[3]:
+            bound_tile(row, k, half // TILE + j, c)
 
 
 @wp.func
@@ -280,50 +389,59 @@ def bound_chunks(row: int, k: int, lanes: int, c: Any):
 
 
 @wp.func
-def mark_near(w: int, s: Shapes, zoom: float, row: int, k: int, c: Any):
-    """Mark the points that lie nearer than ``zoom`` [m] to the axis of one of the shapes, a segment."""
-    for j in range(c.point.shape[3]):
-        px = c.point[row, k, 0, j]
-        py = c.point[row, k, 1, j]
-        pz = c.point[row, k, 2, j]
-        o = real(0.0, px)
-        found = o
-        for i in range(s.radius.shape[1]):
-            start = s.start[w, i]
-            axis = s.end[w, i] - start
-            x = px - start[0]
-            y = py - start[1]
-            z = pz - start[2]
-            along = fma(z, real(axis[2], o), fma(y, real(axis[1], o), x * axis[0]))
-            u = min_(max_(along * (1.0 / wp.max(wp.dot(axis, axis), 1.0e-12)), o), real(1.0, o))
-            x = fnma(u, real(axis[0], o), x)
-            y = fnma(u, real(axis[1], o), y)
-            z = fnma(u, real(axis[2], o), z)
-            found = max_(found, below(fma(z, z, fma(y, y, x * x)), real(zoom * zoom, o)))
-        c.near[row, j] = found
+def mark_near(w: int, s: Shapes, zoom: float, row: int, k: int, j: int, c: Any):
+    """Mark the points of chunk j that lie nearer than ``zoom`` [m] to the axis of one of the shapes, a segment."""
+    px = c.point[row, k, 0, j]
+    py = c.point[row, k, 1, j]
+    pz = c.point[row, k, 2, j]
+    o = real(0.0, px)
+    found = o
+    for i in range(s.radius.shape[1]):
+        start = s.start[w, i]
+        axis = s.end[w, i] - start
+        x = px - start[0]
+        y = py - start[1]
+        z = pz - start[2]
+        along = fma(z, real(axis[2], o), fma(y, real(axis[1], o), x * axis[0]))
+        u = min_(max_(along * (1.0 / wp.max(wp.dot(axis, axis), 1.0e-12)), o), real(1.0, o))
+        x = fnma(u, real(axis[0], o), x)
+        y = fnma(u, real(axis[1], o), y)
+        z = fnma(u, real(axis[2], o), z)
+        found = max_(found, below(fma(z, z, fma(y, y, x * x)), real(zoom * zoom, o)))
+    c.near[row, j] = found
+
+
+@wp.func
+def mark_part(w: int, s: Shapes, zoom: float, row: int, t: int, team: int, c: Any):
+    """Mark the branch points that thread t has moved in `add_noise_part`."""
+    half = half_of(c.flat.shape[3], 1)
+    for j in range(t, half // TILE, team):
+        for p in range(TILE * j, TILE * j + TILE):
+            mark_near(w, s, zoom, row, BRANCHES, p, c)
+            if p + half < c.flat.shape[3]:
+                mark_near(w, s, zoom, row, BRANCHES, p + half, c)
 
 
 @cache
 def sample_kernel(width: int = 1) -> Any:
-    """Return the kernel that draws all clouds without noise, thread (world, cloud): robot, target and branches.
+    """Return the kernel that draws all clouds without noise: robot, target and branches.
 
-    ``tick_in`` [worlds] counts the draws.
+    Threads are (worlds / S, cloud, T, S), S as of `side`: on a CPU one thread draws a cloud, on a GPU T of them do,
+    each a run of tiles. ``team`` is T. ``tick_in`` [worlds] counts the draws.
     """
     t = cloud_types(width)
-    Clouds, W = t.Clouds, width
+    Clouds, W, S = t.Clouds, width, side(width)
 
     @wp.kernel(enable_backward=False, module="unique")
     def sample(
         capsules_in: Shapes, num_arm: int, target_in: Shapes, cap: float, seed: int, tick_in: wp.array(dtype=int),
-        first: int, first_row: int, c_out: Clouds,
+        first: int, first_row: int, count: int, team: int, c_out: Clouds,
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
-        i = wp.int32(0)
-        k = wp.int32(0)
-        if wp.static(W > 1):
-            i, k = wp.tid()
-        else:
-            k, i = wp.tid()  # neighbouring threads are neighbouring worlds
+        g, k, t, lane = wp.tid()
+        i = g * S + lane
+        if i >= count:
+            return
         w = first + i
         row = first_row + i
         key = key_of(seed, w, tick_in[w])
@@ -335,41 +453,54 @@ def sample_kernel(width: int = 1) -> Any:
             shapes = target_in
             end = shapes.radius.shape[1]
             ends = cap
-        spread_points(w, shapes, begin, end, ends, row, k, key, W, c_out)
         if wp.static(W > 1):
+            spread_points(w, shapes, begin, end, ends, row, k, key, W, c_out)
             bound_chunks(row, k, W, c_out)
+        else:
+            tiles = c_out.flat.shape[3] // TILE
+            part = (tiles + team - 1) // team
+            last = wp.min(part * (t + 1), tiles)
+            if part * t < last:
+                spread_part(w, shapes, begin, end, ends, row, k, key, part * t * TILE, last * TILE, c_out)
+                for j in range(part * t, last):
+                    bound_tile(row, k, j, c_out)
 
     return sample
 
 
 @cache
 def blur_kernel(width: int = 1) -> Any:
-    """Return the kernel that moves drawn points by noise and marks branch points near the target, thread as there.
+    """Return the kernel that moves drawn points by noise and marks branch points near the target, threads as there.
 
     ``max_noise_in`` [worlds] is three deviations of the noise [m]; 0 leaves the clouds as they are, to the bit.
     """
     t = cloud_types(width)
-    Clouds, W = t.Clouds, width
+    Clouds, W, S = t.Clouds, width, side(width)
 
     @wp.kernel(enable_backward=False, module="unique")
     def blur(
         target_in: Shapes, zoom: float, seed: int, tick_in: wp.array(dtype=int),
-        max_noise_in: wp.array(dtype=wp.float32), first: int, first_row: int, c_out: Clouds,
+        max_noise_in: wp.array(dtype=wp.float32), first: int, first_row: int, count: int, team: int, c_out: Clouds,
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
-        i = wp.int32(0)
-        k = wp.int32(0)
-        if wp.static(W > 1):
-            i, k = wp.tid()
-        else:
-            k, i = wp.tid()
+        g, k, t, lane = wp.tid()
+        i = g * S + lane
+        if i >= count:
+            return
         w = first + i
         row = first_row + i
-        if max_noise_in[w] > 0.0:
-            add_noise(row, k, max_noise_in[w] / 3.0, key_of(seed, w, tick_in[w]), W, c_out)
-            if wp.static(W > 1):
+        sigma = max_noise_in[w] / 3.0
+        if wp.static(W > 1):
+            if sigma > 0.0:
+                add_noise(row, k, sigma, key_of(seed, w, tick_in[w]), W, c_out)
                 bound_chunks(row, k, W, c_out)
-        if k == BRANCHES:
-            mark_near(w, target_in, zoom, row, k, c_out)
+            if k == BRANCHES:
+                for j in range(c_out.point.shape[3]):
+                    mark_near(w, target_in, zoom, row, k, j, c_out)
+        else:
+            if sigma > 0.0:
+                add_noise_part(row, k, sigma, key_of(seed, w, tick_in[w]), t, team, c_out)
+            if k == BRANCHES:
+                mark_part(w, target_in, zoom, row, t, team, c_out)
 
     return blur

@@ -18,7 +18,7 @@ import warp as wp
 
 from ..lanes.across import cosine_pi, lane_sum, sine_pi
 from ..lanes.real import SOURCE, add, fma, mul, real, round_, sub
-from .cloud import BRANCHES, NUM_CLOUDS, cloud_types
+from .cloud import BRANCHES, NUM_CLOUDS, cloud_types, side
 
 __all__ = ["embed_clouds_kernel"]
 
@@ -115,28 +115,25 @@ def embed_cloud(
 
 @cache
 def embed_clouds_kernel(width: int = 1) -> Any:
-    """Return the kernel that embeds the sampled clouds into columns of the observation, thread (world, cloud, t).
+    """Return the kernel that embeds the sampled clouds into columns of the observation, threads as in `sample_kernel`.
 
     Of ``waves_in`` [R], the frequencies over 2 pi [1/m], a thread takes every ``team``-th from t: one on a GPU, all on
     a CPU, where a thread's beginning costs as much as some frequencies. ``column`` [4] are the first columns of robot,
     target, branches and the branches near the target, -1 where not wanted.
     """
     t = cloud_types(width)
-    Clouds, W = t.Clouds, width
+    Clouds, W, S = t.Clouds, width, side(width)
 
     @wp.kernel(enable_backward=False, module="unique")
     def embed(
         c_in: Clouds, waves_in: wp.array(dtype=wp.vec3), column: wp.array(dtype=int), first: int, first_row: int,
-        team: int, observation_out: wp.array2d(dtype=wp.float32),
+        count: int, team: int, observation_out: wp.array2d(dtype=wp.float32),
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
-        i = wp.int32(0)
-        k = wp.int32(0)
-        t = wp.int32(0)
-        if wp.static(W > 1):
-            i, k, t = wp.tid()
-        else:
-            t, k, i = wp.tid()  # neighbouring threads are neighbouring worlds
+        g, k, t, lane = wp.tid()
+        i = g * S + lane
+        if i >= count:
+            return
         w = first + i
         row = first_row + i
         whole = column[k]

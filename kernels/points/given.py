@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 
 from ..lanes.real import SOURCE
-from .cloud import BRANCHES, Shapes, bound_chunks, cloud_types, mark_near
+from .cloud import BRANCHES, Shapes, bound_chunks, bound_tile, cloud_types, mark_near
 
 __all__ = ["given_kernel"]
 
@@ -35,6 +35,10 @@ def given_kernel(width: int = 1) -> Any:
         c_out.present[row, BRANCHES] = present_in[w]
         if wp.static(W > 1):
             bound_chunks(row, BRANCHES, W, c_out)
-        mark_near(w, target_in, zoom, row, BRANCHES, c_out)
+        else:
+            for j in range(c_out.bound.shape[3]):
+                bound_tile(row, BRANCHES, j, c_out)
+        for j in range(c_out.point.shape[3]):
+            mark_near(w, target_in, zoom, row, BRANCHES, j, c_out)
 
     return given

@@ -17,7 +17,7 @@ import warp as wp
 
 from ..lanes.across import first_bit, lane_sum, least, max_, min_, negatives, running_sum, tally
 from ..lanes.real import SOURCE, add, fma, lane, mul, real, sub, where_neg
-from .cloud import BRANCHES, ROBOT, TARGET, cloud_types
+from .cloud import BRANCHES, ROBOT, TARGET, TILE, cloud_types, side
 
 __all__ = ["Few", "finish_kernel", "margin_kernel", "nearest_kernel", "occlusion_kernel"]
 
@@ -25,6 +25,8 @@ __all__ = ["Few", "finish_kernel", "margin_kernel", "nearest_kernel", "occlusion
 NOBODY = wp.constant(99.0)
 #: Squared distances, ascending.
 Few = wp.types.vector(5, wp.float32)
+#: A coordinate of the points of a tile.
+Tile = wp.types.vector(16, wp.float32)
 
 
 @wp.func
@@ -118,36 +120,67 @@ def count_lanes(row: int, a: int, b: int, limit: float, most: int, lanes: int, c
 
 
 @wp.func
-def count_points(row: int, a: int, b: int, limit: float, most: int, t: int, team: int, c: Any):
-    """Count pairs with d2 < limit up to ``most``, of every ``team``-th point of cloud a from t."""
+def tile_of(row: int, k: int, m: int, j: int, c: Any):
+    """Coordinate m of the points of tile j of cloud k."""
+    out = Tile()
+    for i in range(16):
+        out[i] = c.flat[row, k, m, 16 * j + i]
+    return out
+
+
+@wp.func
+def tile_gap(row: int, a: int, j: int, b: int, other: int, c: Any):
+    """Least squared distance that points of tile j of cloud a and of tile ``other`` of cloud b can have."""
+    x = wp.max(c.bound[row, b, 0, other] - c.bound[row, a, 3, j], c.bound[row, a, 0, j] - c.bound[row, b, 3, other])
+    y = wp.max(c.bound[row, b, 1, other] - c.bound[row, a, 4, j], c.bound[row, a, 1, j] - c.bound[row, b, 4, other])
+    z = wp.max(c.bound[row, b, 2, other] - c.bound[row, a, 5, j], c.bound[row, a, 2, j] - c.bound[row, b, 5, other])
+    return squared(wp.max(x, 0.0), wp.max(y, 0.0), wp.max(z, 0.0))
+
+
+@wp.func
+def count_tiles(row: int, a: int, b: int, limit: float, most: int, t: int, team: int, c: Any):
+    """Count pairs with d2 < limit, of every ``team``-th tile of cloud a from t, until ``most`` are reached.
+
+    A GPU's thread holds a tile in registers, so that a point of cloud b is read once for `TILE` pairs.
+    """
     count = wp.int32(0)
-    points = c.flat.shape[3]
-    for p in range(t, points, team):
-        x = c.flat[row, a, 0, p]
-        y = c.flat[row, a, 1, p]
-        z = c.flat[row, a, 2, p]
-        for q in range(points):
-            if squared(c.flat[row, b, 0, q] - x, c.flat[row, b, 1, q] - y, c.flat[row, b, 2, q] - z) < limit:
-                count = count + 1
-        if count >= most:
-            return most
-    return count
+    tiles = c.bound.shape[3]
+    for j in range(t, tiles, team):
+        x = tile_of(row, a, 0, j, c)
+        y = tile_of(row, a, 1, j, c)
+        z = tile_of(row, a, 2, j, c)
+        for other in range(tiles):
+            if tile_gap(row, a, j, b, other, c) < limit and count < most:
+                for q in range(TILE * other, TILE * other + TILE):
+                    px = c.flat[row, b, 0, q]
+                    py = c.flat[row, b, 1, q]
+                    pz = c.flat[row, b, 2, q]
+                    for i in range(16):
+                        count = count + wp.where(squared(px - x[i], py - y[i], pz - z[i]) < limit, 1, 0)
+    return wp.min(count, most)
 
 
 @cache
 def occlusion_kernel(width: int = 1) -> Any:
     """Return the kernel that counts branch-target pairs with d2 < limit, up to ``most``.
 
-    On a CPU one thread takes a world. On a GPU thread (t, world) takes every T-th branch point from t; a count cannot
-    depend on the order it is added up in. ``count_out`` [worlds, T].
+    Threads are (worlds / S, T, S), S as of `side`. On a CPU one thread takes a world. On a GPU T of them share it, and
+    each takes every T-th tile of branch points; a count cannot depend on the order it is added up in. ``count_out``
+    [worlds, T].
     """
     t = cloud_types(width)
-    Clouds, W = t.Clouds, width
+    Clouds, W, S = t.Clouds, width, side(width)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def occlusion(c_in: Clouds, limit: float, most: int, first: int, first_row: int, count_out: wp.array2d(dtype=int)):
+    def occlusion(
+        c_in: Clouds, limit: float, most: int, first: int, first_row: int, worlds: int,
+        count_out: wp.array2d(dtype=int),
+    ):  # fmt: skip
         tag = SOURCE  # noqa: F841
-        t, i = wp.tid()
+        g, t, lane = wp.tid()
+        i = g * S + lane
+        if i >= worlds:
+            return
         w = first + i
         row = first_row + i
         count = wp.int32(0)
@@ -155,7 +188,7 @@ def occlusion_kernel(width: int = 1) -> Any:
             if wp.static(W > 1):
                 count = count_lanes(row, BRANCHES, TARGET, limit, most, W, c_in)
             else:
-                count = count_points(row, BRANCHES, TARGET, limit, most, t, count_out.shape[1], c_in)
+                count = count_tiles(row, BRANCHES, TARGET, limit, most, t, count_out.shape[1], c_in)
         count_out[w, t] = count
 
     return occlusion
@@ -277,18 +310,31 @@ def closest_pairs_lanes(row: int, a: int, b: int, limit: float, lanes: int, c: A
 
 
 @wp.func
-def closest_pairs(row: int, a: int, b: int, limit: float, t: int, team: int, c: Any):
-    """Squared distances below ``limit`` of the closest pairs, of every ``team``-th point of cloud a from t."""
+def keep_closest(px: float, py: float, pz: float, x: Tile, y: Tile, z: Tile, best: Few):
+    """Insert the squared distances between a point and the points of a tile; most tiles hold none that is closer."""
+    out = best
+    closest = wp.float32(best[4])
+    for i in range(16):
+        closest = wp.min(closest, squared(px - x[i], py - y[i], pz - z[i]))
+    if closest < best[4]:
+        for i in range(16):
+            out = keep_least(out, squared(px - x[i], py - y[i], pz - z[i]))
+    return out
+
+
+@wp.func
+def closest_tiles(row: int, a: int, b: int, limit: float, t: int, team: int, c: Any):
+    """Squared distances below ``limit`` of the closest pairs, of every ``team``-th tile of cloud a from t."""
     best = Few(limit)
-    points = c.flat.shape[3]
-    for p in range(t, points, team):
-        x = c.flat[row, a, 0, p]
-        y = c.flat[row, a, 1, p]
-        z = c.flat[row, a, 2, p]
-        for q in range(points):
-            d2 = squared(c.flat[row, b, 0, q] - x, c.flat[row, b, 1, q] - y, c.flat[row, b, 2, q] - z)
-            if d2 < best[4]:
-                best = keep_least(best, d2)
+    tiles = c.bound.shape[3]
+    for j in range(t, tiles, team):
+        x = tile_of(row, a, 0, j, c)
+        y = tile_of(row, a, 1, j, c)
+        z = tile_of(row, a, 2, j, c)
+        for other in range(tiles):
+            if tile_gap(row, a, j, b, other, c) < best[4]:
+                for q in range(TILE * other, TILE * other + TILE):
+                    best = keep_closest(c.flat[row, b, 0, q], c.flat[row, b, 1, q], c.flat[row, b, 2, q], x, y, z, best)
     return best
 
 
@@ -300,15 +346,18 @@ def nearest_kernel(width: int = 1) -> Any:
     distance) holds that.
     """
     t = cloud_types(width)
-    Clouds, W = t.Clouds, width
+    Clouds, W, S = t.Clouds, width, side(width)
 
     @wp.kernel(enable_backward=False, module="unique")
     def nearest(
-        c_in: Clouds, place_in: wp.array(dtype=wp.vec3), far: float, first: int, first_row: int,
+        c_in: Clouds, place_in: wp.array(dtype=wp.vec3), far: float, first: int, first_row: int, worlds: int,
         point_out: wp.array2d(dtype=Few),
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
-        t, i = wp.tid()
+        g, t, lane = wp.tid()
+        i = g * S + lane
+        if i >= worlds:
+            return
         w = first + i
         row = first_row + i
         point = Few(far)
@@ -327,12 +376,18 @@ def margin_kernel(width: int = 1) -> Any:
     do all five on a CPU where no pair is below ``near``.
     """
     t = cloud_types(width)
-    Clouds, W = t.Clouds, width
+    Clouds, W, S = t.Clouds, width, side(width)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def margin(c_in: Clouds, near: float, limit: float, first: int, first_row: int, pair_out: wp.array2d(dtype=Few)):
+    def margin(
+        c_in: Clouds, near: float, limit: float, first: int, first_row: int, worlds: int,
+        pair_out: wp.array2d(dtype=Few),
+    ):  # fmt: skip
         tag = SOURCE  # noqa: F841
-        t, i = wp.tid()
+        g, t, lane = wp.tid()
+        i = g * S + lane
+        if i >= worlds:
+            return
         w = first + i
         row = first_row + i
         pair = Few(limit)
@@ -341,7 +396,7 @@ def margin_kernel(width: int = 1) -> Any:
                 if count_lanes(row, ROBOT, TARGET, near, 1, W, c_in) > 0:
                     pair = closest_pairs_lanes(row, ROBOT, TARGET, limit, W, c_in)
             else:
-                pair = closest_pairs(row, ROBOT, TARGET, limit, t, pair_out.shape[1], c_in)
+                pair = closest_tiles(row, ROBOT, TARGET, limit, t, pair_out.shape[1], c_in)
         pair_out[w, t] = pair
 
     return margin
@@ -354,6 +409,16 @@ def margin_breach(pair: Few, margin: float):
     for i in range(5):
         total = total + wp.sqrt(pair[i])
     return wp.where(total < 5.0 * margin, 1.0, 0.0)
+
+
+@wp.func
+def join(best: Few, other: Few):
+    """The five least of two ascending lists."""
+    out = best
+    if other[0] < best[4]:
+        for i in range(5):
+            out = keep_least(out, other[i])
+    return out
 
 
 @wp.kernel(enable_backward=False, module="unique")
@@ -376,10 +441,9 @@ def finish_kernel(
         true_count = true_count + true_count_in[w, t]
         count = count + count_in[w, t]
         if t > 0:
-            for i in range(5):
-                true_pair = keep_least(true_pair, true_pair_in[w, t][i])
-                point = keep_least(point, point_in[w, t][i])
-                pair = keep_least(pair, pair_in[w, t][i])
+            true_pair = join(true_pair, true_pair_in[w, t])
+            point = join(point, point_in[w, t])
+            pair = join(pair, pair_in[w, t])
     for i in range(5):
         distance = wp.sqrt(point[i])
         distances_out[w, i] = distance

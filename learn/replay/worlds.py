@@ -38,13 +38,14 @@ class ReplayWorlds:
     ) -> None:  # fmt: skip
         """Build the worlds; with ``track`` those of a branch with effects note their joints' coordinates too.
 
-        Steps are ``finer`` times as short as the system's own.
+        Steps are ``finer`` times as short as the system's own. Worlds are on the CPU unless a Warp device is given: a
+        case is some hundred of them, and all laws in one kernel keep NVIDIA's compiler busy for more than 20 minutes.
         """
         self.track = track
         self.case, self.system = case, system_of(case, unknowns)
         self.recordings = list(chosen)
         self.num_sets, self.num_locals = num_sets, chosen[0].start.size
-        self.device = wp.get_device(device)
+        self.device = wp.get_device("cpu" if device is None else device)
         width = 1 if self.device.is_cuda else simd_width()
         self.blocks = -(-num_sets // width)
         self.chains = 1 if self.system.acting.persists else len(chosen)  # damage: one world replays all recordings

@@ -246,13 +246,13 @@ class TouchArrays:
         middle, half = np.zeros((slots, most, 3)), np.zeros((slots, most, 3))
         middle[:] = FAR
         radius, bound = np.zeros((slots, most, 1)), np.zeros((slots, most, 1))
+        ends = [self._capsule_ends(w) for w in range(len(m.trees))]
         for g, row in enumerate(rows):
             for c, key in enumerate(sorted(row)):
                 link[g, c] = key[0]
                 for slot, w, own in row[key]:
-                    tree, n = m.trees[w], m.first_link[w] + m.trees[w].shape_link[own]
-                    a, b = (m.links.in_link_frame(n, p[own]) for p in (tree.shape_start, tree.shape_end))
-                    capsule[slot, c], radius[slot, c, 0] = own, tree.shape_radius[own].mean()
+                    a, b = ends[w][0][own], ends[w][1][own]
+                    capsule[slot, c], radius[slot, c, 0] = own, m.trees[w].shape_radius[own].mean()
                     middle[slot, c], half[slot, c] = (a + b) / 2, (b - a) / 2
                     bound[slot, c, 0] = np.linalg.norm(b - a) / 2 + radius[slot, c, 0]
         self._lanes = {}
@@ -267,6 +267,12 @@ class TouchArrays:
         self._integers = [out.count, out.link, out.slot_capsule]
         self._lay_pairs(out, [np.zeros((0, 3), np.int64)] * m.groups)
         return out
+
+    def _capsule_ends(self, world: int) -> tuple[Array, Array]:
+        """Return the ends of a tree's capsules in their links' frames [m], [C, 3] each."""
+        m, tree = self._model, self._model.trees[world]
+        links = m.first_link[world] + tree.shape_link
+        return m.links.in_link_frame(links, tree.shape_start), m.links.in_link_frame(links, tree.shape_end)
 
     def _lay_pairs(self, shapes: Any, found: list[IntArray]) -> None:
         count = np.array([len(f) for f in found])
