@@ -18,12 +18,13 @@ import warp as wp
 
 from ..lanes.philox import TURN, uniform4
 
-__all__ = ["SceneArrays", "SceneRules", "place_scene", "plant_roots", "scale_joints", "try_places"]
+__all__ = ["NO_ATTEMPT", "SceneArrays", "SceneRules", "place_scene", "plant_roots", "scale_joints", "try_places"]
 
 GOLDEN_ANGLE = wp.constant(2.399963229728653)
 AXIS_POINTS = wp.constant(6)  # quadrature points on the axis of a branch's capsule
 TARGET_POINTS = wp.constant(48)  # and on the target
 TINY = wp.constant(1.0e-9)
+NO_ATTEMPT = wp.constant(2147483647)
 
 
 @wp.struct
@@ -288,20 +289,28 @@ def try_places(
     key_in: wp.vec2ui,
     attempt_out: wp.array2d(dtype=int),
     breach_out: wp.array2d(dtype=wp.float32),
+    first_out: wp.array(dtype=int),
 ):
-    """Find the best of every runs-th attempt: the first that breaks no rule, else the one that breaks them least."""
+    """Find the best of every runs-th attempt: the first that breaks no rule, else the one that breaks them least.
+
+    A run ends where another has found, at an earlier attempt, a place that breaks no rule. Which attempts are tried
+    then depends on how threads are scheduled, but the earliest such place is always among them. ``first_out`` [worlds]
+    is it, `NO_ATTEMPT` before; it is read by an atomic operation, since other threads write it meanwhile.
+    """
     world, run = wp.tid()
     if not mask_in[world]:
         return
     best = run
     least = wp.float32(wp.inf)
     attempt = run
-    while least > 0.0 and attempt < rules_in.attempts:
+    while least > 0.0 and attempt < rules_in.attempts and attempt < wp.atomic_min(first_out, world, NO_ATTEMPT):
         place = propose(arrays_in, rules_in, key_in, world, episode_in[world], attempt)
         breach = breach_of(arrays_in, rules_in, arrays_in.tree[world], place)
         if breach < least:
             least = breach
             best = attempt
+        if breach == 0.0:
+            wp.atomic_min(first_out, world, attempt)
         attempt = attempt + attempt_out.shape[1]
     attempt_out[world, run] = best
     breach_out[world, run] = least
@@ -327,10 +336,12 @@ def place_scene(
     friction_out: wp.array(dtype=wp.float32),
     breach_out: wp.array(dtype=wp.float32),
     crowd_out: wp.array(dtype=wp.vec4),
+    first_out: wp.array(dtype=int),
 ):
     """Place tree and target of the masked worlds, and draw the scales of stiffness, damping and friction.
 
-    Of the runs' finds the earliest of the best is taken, so that the number of runs changes nothing.
+    Of the runs' finds the earliest of the best is taken, so that the number of runs changes nothing. ``first_out`` is
+    left as `try_places` needs it the next time.
     """
     world = wp.tid()
     if not mask_in[world]:
@@ -360,6 +371,7 @@ def place_scene(
     tree = arrays_in.tree[world]
     wood = wood_at(arrays_in, rules_in, tree, best)
     crowd_out[world] = wp.vec4(wood[0], wood[1], expected_pairs(arrays_in, rules_in, tree, best), wood[2])
+    first_out[world] = NO_ATTEMPT
 
 
 @wp.func

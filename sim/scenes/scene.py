@@ -26,6 +26,7 @@ from ..base.errors import InputError
 from ..base.rotation import quat_rotate
 from ..base.thread_pool import recorded
 from ..base.types import Array, IntArray
+from ..engine import arrays
 from ..engine.launcher import Recorded
 from ..formats.export_mesh import shape_ends
 from ..trees.cull import keep_links
@@ -42,7 +43,7 @@ DOMAINS = {"training": 0x7472_6169, "test": 0x7465_7374}
 """First word of the seed's sequence: "trai" and "test" in ASCII."""
 
 _PUSH = 0.1  # way that wood must give to be pushed aside [m]
-_RUNS = 32  # threads that share the attempts of a world on a GPU
+_RUNS = 64  # threads that share the attempts of a world on a GPU; of so many at once one is found nearly always
 _ALONG = 9  # points on a capsule's axis that are asked whether the arm reaches them
 
 
@@ -351,17 +352,18 @@ class Scene:
         shape = (worlds, self.settings.target.strips)
         self.target = Axes(*(wp.zeros(shape, dtype=wp.vec3, device=self.device) for _ in range(2)))
         sim = self._simulator
-        arrays = sim.model.arrays
-        self._fields = {name: arrays[name].entries() for name in ("offset", "turn", "stiffness", "damping")}
+        own = sim.model.arrays
+        self._fields = {name: own[name].entries() for name in ("offset", "turn", "stiffness", "damping")}
         # the stepping adds the springs' implicit share to its own copy; relaxation times far above the step need none
         self._fields["damping in effect"] = sim._damping.entries()
         self._nominal = {name: wp.clone(field) for name, field in self._fields.items()}
-        runs = min(_RUNS, self.settings.attempts) if self.device.is_cuda else 1
+        runs = min(_RUNS, self.settings.attempts) if arrays.link_major(self.device) else 1
         self._place = Recorded(self._record)
         self._tried = (
             wp.zeros((worlds, runs), dtype=wp.int32, device=self.device),
             wp.zeros((worlds, runs), dtype=wp.float32, device=self.device),
         )
+        self._first = wp.full(worlds, kernels.NO_ATTEMPT, dtype=wp.int32, device=self.device)
         self._same = wp.full(worlds, 1.0, dtype=wp.float32, device=self.device)
 
     def tensors(self) -> dict[str, torch.Tensor]:
@@ -388,8 +390,8 @@ class Scene:
         ]  # fmt: skip
         inputs = [mask, episode, self._arrays, self._rules, self._key, *self._tried]
         return [
-            self._launch(kernels.try_places, self._tried[0].shape, inputs),
-            self._launch(kernels.place_scene, len(self.breach), [*inputs, *outputs]),
+            self._launch(kernels.try_places, self._tried[0].shape, [*inputs, self._first]),
+            self._launch(kernels.place_scene, len(self.breach), [*inputs, *outputs, self._first]),
             self._plant(mask),
             self._scale("stiffness", mask, self._same),
             self._scale("damping", mask, d["damping"]),

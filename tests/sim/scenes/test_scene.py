@@ -10,6 +10,7 @@ from bough.sim.arms.jaco2 import jaco2
 from bough.sim.arms.simulator import ArmSimulator
 from bough.sim.base.errors import InputError
 from bough.sim.base.rotation import quat_rotate
+from bough.sim.engine import arrays
 from bough.sim.scenes.scene import (
     Scene,
     SceneSettings,
@@ -298,6 +299,28 @@ def test_places_depend_on_seed_world_and_episode_alone(worlds):
     assert torch.equal(drawn(few.scene, few.sim), first[:16])
     for other in (Worlds(seed=1, worlds=16), Worlds(domain="test", worlds=16)):
         assert not torch.isclose(drawn(other.scene, other.sim)[:, :2], first[:16, :2]).any()
+
+
+def test_runs_that_share_the_attempts_change_no_bit(monkeypatch):
+    """Let 64 threads share each world's attempts in a GPU's memory order: every place is the one that one thread finds.
+
+    Three placings: what one leaves behind must not end the next one's search.
+    """
+    found = []
+    for shared in (False, True):
+        monkeypatch.setattr(arrays, "link_major", lambda device, value=shared: value)
+        w = Worlds()
+        assert w.scene._tried[0].shape == (WORLDS, 64 if shared else 1)
+        places = []
+        for episode in range(3):
+            w.episode.fill_(episode)
+            w.place()
+            s = w.scene
+            places.append([t.clone() for t in (s.root, s.turn, s.breach, s.crowd, s.stiffness, w.sim.line_start)])
+        found.append(places)
+    for one, many in zip(*found, strict=True):
+        assert all(map(torch.equal, one, many))
+    assert not torch.equal(found[0][0][0], found[0][1][0])
 
 
 def test_only_masked_worlds_are_placed(worlds):
