@@ -262,11 +262,25 @@ def cameras(found: Last) -> str:
     return lines([["", *names.values()], *body]) + "\n\n" + paragraph(tail)
 
 
+def gpu(found: Last) -> str:
+    """Write the speed of trees on a GPU, and what a policy step of the arm's task takes."""
+    body = [[case, f"{found.get(case, 'speed').value / 1e6:.1f}"] for case in found.cases("speed")]
+    worlds, step, physics, sensing = (
+        found.get("arm, shares", what).value for what in ("worlds", "step_s", "physics_share", "perception_share")
+    )
+    embedding = 1e3 * found.get("arm, embedding", "four_embeddings_s").value
+    tail = f"""A policy step of `powerline` with {worlds:.0f} worlds in which no episode ends took {1e3 * step:.1f} ms,
+        physics alone (four steps) {100 * physics:.0f} % of that and perception alone {100 * sensing:.0f} %; the four
+        embeddings of 512 points in 1024 worlds {embedding:.2f} ms (the thesis: 1.2).
+        {origin("gpu", found, "warp", "torch")}."""
+    return lines([["ball-jointed trees", "million world-steps/s"], *body]) + "\n\n" + paragraph(tail)
+
+
 BLOCKS: dict[str, tuple[str, Callable[[Last], str]]] = {
     "tree": ("tree", tree), "contact": ("contact", contact), "perception": ("perception", perception),
     "scale": ("scale", scale), "identification": ("identification", identification), "ranks": ("calibration", ranks),
     "joints": ("calibration", joints), "studies": ("calibration", studies), "cost": ("identification_cost", cost),
-    "cameras": ("cameras", cameras),
+    "cameras": ("cameras", cameras), "gpu": ("gpu", gpu),
 }  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from .geometry import add_nuisances, in_doubt
 from .models.at_rest import Noise, noise_of_neighbours, noise_of_repeats
 from .models.contest import Batch
 from .models.fitted import FittedModels, Model
-from .models.levels import LEADERS, better_of, first_level, mirrored, moved, next_level, reduced, refitted
+from .models.levels import LEADERS, better_of, first_level, mirrored, moved, next_level, reduced, refitted, taken_for
 from .models.nested import close, fitted_again, rebased
 from .models.nuisance import Nuisances
 from .models.refit import Fits
@@ -79,6 +79,7 @@ def _searched(base: Base, evidence: Evidence, run: Run) -> Searched:
     with run.timed("fits"):
         fitted_again(fitted, 1)
         fitted.models += moved(fitted.contest, fitted.of_size(1)[:2])
+        fitted.models += taken_for(fitted)
         fitted.models += mirrored(fitted.contest, fitted.of_size(1)[:LEADERS])
         known = base.noise
         fitted = _recoloured(base, fitted)

@@ -39,7 +39,7 @@ class ReplayWorlds:
         """Build the worlds; with ``track`` those of a branch with effects note their joints' coordinates too.
 
         Steps are ``finer`` times as short as the system's own. Worlds are on the CPU unless a Warp device is given: a
-        case is some hundred of them, and all laws in one kernel keep NVIDIA's compiler busy for more than 20 minutes.
+        case is some hundred of them, and all laws in one kernel keep NVIDIA's compiler busy for more than 18 minutes.
         """
         self.track = track
         self.case, self.system = case, system_of(case, unknowns)

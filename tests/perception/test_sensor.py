@@ -476,6 +476,14 @@ def test_bad_settings(settings, message):
     assert message in str(error.value)
 
 
+def test_memory_of_another_device_is_refused():
+    """Bind what lies on a GPU to a sensor on the CPU: its kernels would write to wild addresses."""
+    sensor, _ = make(point_scene(2))
+    elsewhere = SimpleNamespace(shape=(2, 88), device="cuda:0", ptr=1)
+    with pytest.raises(InputError, match=r"sensor: observation: found memory of cuda:0; allowed: memory of cpu"):
+        sensor.bind(elsewhere)
+
+
 def test_bad_columns():
     """Refuse groups that do not exist and columns beyond the tensor."""
     sensor, _ = make(point_scene(2))

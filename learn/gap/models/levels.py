@@ -14,7 +14,7 @@ import torch
 from ....sim.effects import effect_of
 from ...cases.case import BranchCase
 from .contest import Batch, Contest
-from .fitted import Model, penalty
+from .fitted import FittedModels, Model, penalty
 from .frequencies import frequency_probes
 from .horizons import led
 from .refit import Fits, evaluated, fit
@@ -90,18 +90,38 @@ def moved(contest: Contest, models: Sequence[Model]) -> list[Model]:
 
     The base parameters absorb an effect at its own joint more than at the next one, which can hide it there.
     """
-    begun = []
-    for model in models:
-        for c in model.members:
-            for other in _same_law(contest, c, model.members):
-                own = _without(contest, model.fit.batch, [c])
-                old, new = (list(contest.candidates[k].columns) for k in (c, other))
-                own.active[:, new] = True
-                own.free[:, new] = torch.maximum(
-                    torch.minimum(model.fit.batch.free[:, old], contest.high[new]), contest.low[new]
-                )
-                begun.append((tuple(sorted((set(model.members) - {c}) | {other})), own))
+    begun = [_at(contest, model, c, other)
+             for model in models for c in model.members for other in _same_law(contest, c, model.members)]  # fmt: skip
     return _settled(contest, begun, sum(ITERATIONS[1:]))
+
+
+def taken_for(fitted: FittedModels) -> list[Model]:
+    """Return the laws that the leading one is mistaken for, or that are mistaken for it, fitted at its joint.
+
+    They begin as they were fitted at another joint: a law that fits slowly where it acts may have been dropped there
+    and kept at its neighbour's. Those whose fits at the joint were not dropped are not returned.
+    """
+    singles, contest = fitted.of_size(1), fitted.contest
+    if not singles:
+        return []
+    leader = contest.candidates[singles[0].members[0]]
+    there = {c.name: k for k, c in enumerate(contest.candidates) if c.acting.joint == leader.acting.joint}
+    done, begun = {m.members[0] for m in singles if m.settled}, []
+    for name, k in there.items():
+        alike = name in effect_of(leader.name).mistaken_for or leader.name in effect_of(name).mistaken_for
+        best = next((m for m in singles if m.settled and fitted.names(m) == (name,)), None)
+        if alike and best is not None and k not in done:
+            begun.append(_at(contest, best, best.members[0], k))
+    return _settled(contest, begun, sum(ITERATIONS[1:]))
+
+
+def _at(contest: Contest, model: Model, candidate: int, other: int) -> tuple[tuple[int, ...], Batch]:
+    """Return the members and the start of a model, a candidate's law moved to that of another joint."""
+    own = _without(contest, model.fit.batch, [candidate])
+    old, new = (list(contest.candidates[k].columns) for k in (candidate, other))
+    own.active[:, new] = True
+    own.free[:, new] = torch.maximum(torch.minimum(model.fit.batch.free[:, old], contest.high[new]), contest.low[new])
+    return tuple(sorted((set(model.members) - {candidate}) | {other})), own
 
 
 def mirrored(contest: Contest, models: Sequence[Model]) -> list[Model]:

@@ -136,6 +136,8 @@ def contradictions(found: Diagnosis, text: str) -> list[str]:
         "small beside a mounting that is off": not (claims["nothing"] or claims["small"]) or (
             found.geometry.share < 0.0055 or found.geometry.chance > ALARM),
         "a name beside geometry that does better": not claims["lacks"] or not found.geometry.instead,
+        "a name beside geometry that is off and explains more": not claims["lacks"] or (
+            found.geometry.chance > ALARM or found.geometry.share <= max(found.size, found.settings.tolerance)),
         "none of the known": "none of the known" not in text,
         "held out of one recording": found.held_out or ("eld-out" not in text and "not used in the fit" not in text),
         "a probe that is not needed beside a doubt": found.verdict == "none" or "none needed" not in text,

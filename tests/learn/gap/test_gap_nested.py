@@ -16,7 +16,7 @@ from bough.learn.gap.models.certain import covariance, doubtful, uncertain
 from bough.learn.gap.models.contest import Contest, activated
 from bough.learn.gap.models.fitted import FittedModels, Model
 from bough.learn.gap.models.left_out import without_event
-from bough.learn.gap.models.levels import _mirrored, mirrored
+from bough.learn.gap.models.levels import _mirrored, mirrored, taken_for
 from bough.learn.gap.models.nested import close, fitted_again, from_contained, rebased, switches
 from bough.learn.gap.models.refit import evaluated, fit
 from bough.learn.gap.run import Run
@@ -338,3 +338,29 @@ def test_a_fit_on_the_wrong_side_is_led_to_the_other(branch):
     values = contest.values(single.fit.batch)[0, list(contest.candidates[one].columns)]
     np.testing.assert_allclose(values, [-0.57, 1.2], atol=0.01)
     assert mirrored(contest, [Model((two,), astray)]) == []  # an anisotropic spring has no other side
+
+
+def test_a_law_that_was_dropped_where_it_acts_is_fitted_there(tmp_path):
+    """A joint stiffer in one plane; its coupling is fitted there, the right law only beside it, and dropped at it.
+
+    The right law is fitted at the joint from its neighbour's values, and leaves nothing; once it has been, no more.
+    """
+    make_branch_case(tmp_path / "case", 4, segments=2, samples=50, dt=1e-3)
+    case = load_case(tmp_path / "case")
+    contest = Contest(case, recordings(case), np.full(6, 0.003), ("anisotropic_stiffness", "bending_torsion_coupling"))
+    at = {c.acting.label: k for k, c in enumerate(contest.candidates)}
+    right, beside, coupling = (at[x] for x in ("anisotropic_stiffness@1", "anisotropic_stiffness@0",
+                                               "bending_torsion_coupling@1"))  # fmt: skip
+    truth = activated(contest, contest.base_batch(1), [(right,)])
+    truth.free[0, list(contest.candidates[right].columns)] = torch.tensor([0.6, 1.2], dtype=torch.float64)
+    contest.measured = contest.simulate(contest.values(truth), truth.start)[0].double()
+    base = contest.base_batch(1)
+    kept = [Model((k,), fit(contest, activated(contest, base, [(k,)]), 24), True) for k in (coupling, beside)]
+    dropped = Model((right,), evaluated(contest, activated(contest, base, [(right,)])), False)
+    fitted = FittedModels(contest, Model((), evaluated(contest, base)), [*kept, dropped])
+    assert fitted.of_size(1)[0].members == (coupling,)
+    (found,) = taken_for(fitted)
+    assert found.members == (right,) and found.settled
+    assert found.chi2 < 1e-3 * contest.num_samples < kept[0].chi2
+    fitted.models.append(found)
+    assert taken_for(fitted) == []
