@@ -78,6 +78,7 @@ class Slots:
     lasting: int
     holding: int
     resting: int
+    preceding: int
 
 
 # ---- the sensor: what acts in a step ---------------------------------------------------------------------------------
@@ -334,32 +335,39 @@ def set_out(
 @wp.func
 def replay_samples(
     e: int, row: int, j: int, place: int, n: int, written: int, at: Slots, m: Any, x: Any, u: Any, fx: Any, s: Any,
-    grip: wp.array2d(dtype=wp.float64), input_in: wp.array3d(dtype=wp.float64), begin: wp.float64, substeps: int,
-    h: wp.float64, bound: wp.float64, start: Any, like: Any, track: int, output_out: Any, coordinate_out: Any,
+    grip: wp.array2d(dtype=wp.float64), input_in: wp.array3d(dtype=wp.float64), lead: int, begin: wp.float64,
+    substeps: int, h: wp.float64, bound: wp.float64, start: Any, like: Any, track: int, output_out: Any,
+    coordinate_out: Any,
     advance: wp.Function, law: wp.Function,
 ):  # fmt: skip
-    """Push a link as recording j says, from where it begins; ``like`` is the `ForceState` there."""
+    """Push a link as recording j says, from where it begins; ``like`` is the `ForceState` there.
+
+    Where a law acts by the clock the link is left alone for ``lead`` samples first.
+    """
     nominal = grip_of(grip, j, GRASP, start)
     along = grip_of(grip, j, ALONG, start)
     rate = wp.float64(1.0) / (h * wp.float64(substeps))
-    for k in range(n):
+    before = wp.where(fx.active[e, at.preceding] == 1, lead, 0)
+    for i in range(before + n):
+        k = i - before
         locate_links(e, row, m, x, s)
-        if written >= 0:
+        if written >= 0 and k >= 0:
             look(e, row, place, written + k, at, s, fx, nominal, along, start, output_out)
             if track == 1:
-                for i in range(m.count[e] + 1):
-                    coordinate_out[e, (written + k) * fx.stride + i] = x.coordinate[e, i]
+                for link in range(m.count[e] + 1):
+                    coordinate_out[e, (written + k) * fx.stride + link] = x.coordinate[e, link]
         if k < n - 1:
             ends = wp.int32(NEVER)
-            if is_on(e, at.delay, fx):
+            if is_on(e, at.delay, fx) and k >= 0:
                 ends = opening(input_in, j, k, n)
             for step in range(substeps):
-                now = Moment(j, k, k + 1, step, substeps, 1)
-                force = acting(e, fx, at.delay, input_in, now, n, ends, rate, s.pose[row, place], like, law)
-                u.force[e, place] = force
-                if is_on(e, at.slip, fx):
-                    far = slid(e, at, fx, force, grip, j, real(h, nominal.x))
-                    u.point[e, place] = add_scaled(nominal, along, far)
+                if k >= 0:
+                    now = Moment(j, k, k + 1, step, substeps, 1)
+                    force = acting(e, fx, at.delay, input_in, now, n, ends, rate, s.pose[row, place], like, law)
+                    u.force[e, place] = force
+                    if is_on(e, at.slip, fx):
+                        far = slid(e, at, fx, force, grip, j, real(h, nominal.x))
+                        u.point[e, place] = add_scaled(nominal, along, far)
                 since = wp.float64(k * substeps + step) * h
                 advance(e, row, m, x, u, fx, s, h, begin + since, bound, MOVING)
 
@@ -423,14 +431,17 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
 
     Inputs are the force x, y, z, whether the gripper holds (1 or 0), and what the sensor felt of each. ``grip``
     [recordings, 15] is laid out as `GRASP`, `ALONG`, ... say. With ``track`` 1 the joints' coordinates are written
-    too. A recording is written at sample ``offset``, or not where that is negative.
+    too. A recording is written at sample ``offset``, or not where that is negative; laws that act by the clock act for
+    ``lead`` samples before it.
     """
     parts, kept = step_of(width, precision, terms), kept_rows(terms)
     t, advance, law, hold = parts.types, parts.advance, parts.force, holder_of(terms, parts.types, parts.key)
     Model, State, Load, Scratch, Real, Quat = t.Model, t.State, t.Load, t.Scratch, t.Real, t.Quat
     Effects, ForceState = t.Effects, t.ForceState
     tip, slip, delay = (slot_of(terms, kind) for kind in ("tip_mass", "grasp_slip", "time_delay"))
-    lasting, holding, resting = (len(terms) + GROUPS.index(k) for k in ("lasting", "holding", "resting"))
+    lasting, holding, resting, preceding = (
+        len(terms) + GROUPS.index(k) for k in ("lasting", "holding", "resting", "preceding")
+    )
     slip_row = memory_row(terms, max(0, slip))
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -438,13 +449,14 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
         m: Model, x_in_out: State, u_out: Load, fx: Effects, grasped: wp.array(dtype=int),
         grip: wp.array2d(dtype=wp.float64), first_of: wp.array(dtype=int), last_of: wp.array(dtype=int),
         length: wp.array(dtype=int), begins: wp.array(dtype=wp.float64), offset: wp.array(dtype=int),
+        lead: wp.array(dtype=int),
         input_in: wp.array3d(dtype=wp.float64), s_out: Scratch, first: int, row: int, substeps: int, h: wp.float64,
         bound: wp.float64, output_out: wp.array2d(dtype=Real), track: int, coordinate_out: wp.array2d(dtype=Quat),
     ):  # fmt: skip
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
-        at = Slots(tip, slip, slip_row, delay, lasting, holding, resting)
+        at = Slots(tip, slip, slip_row, delay, lasting, holding, resting, preceding)
         forget(e, kept, EVERYTHING, m, fx)
         for j in range(first_of[e], last_of[e]):
             place = grasped[j]
@@ -455,8 +467,8 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
             zero = nominal - nominal
             like = ForceState(zero, zero.x, calm, calm, zero - s_out.accel0[r, 0])
             replay_samples(e, r, j, place, length[j], offset[j], at, m, x_in_out, u_out, fx, s_out, grip, input_in,
-                           begins[j], substeps, h, bound, start, like, track, output_out, coordinate_out, advance,
-                           law)  # fmt: skip
+                           lead[j], begins[j], substeps, h, bound, start, like, track, output_out, coordinate_out,
+                           advance, law)  # fmt: skip
 
     return point
 

@@ -52,8 +52,8 @@ __all__ = ["GROUPS", "PARAMETERS", "Present", "Term", "effect_types", "step_of"]
 PARAMETERS = 6
 
 #: What follows the terms in ``active``: whether any term of a kind is on, any damage, any law that holds a branch off
-#: its rest, and any load to rest under.
-GROUPS = ("joint", "link", "lasting", "holding", "resting")
+#: its rest, any load to rest under, and any law that has acted before a recording begins.
+GROUPS = ("joint", "link", "lasting", "holding", "resting", "preceding")
 
 #: Least damper of a ball joint over its stiffness, in steps.
 LEAST_DAMPER = wp.constant(wp.float64(0.6))
@@ -92,6 +92,7 @@ class Term(NamedTuple):
         memory: How many vectors each joint remembers, up to two.
         persistent: Whether that memory outlasts a recording (damage), or is zero at the start of each.
         holds: Device function of the torque that the law holds at rest, see `held`; None where it holds none.
+        precedes: Whether it acts by the clock, and so has moved a branch before a recording begins.
     """
 
     name: str
@@ -102,6 +103,7 @@ class Term(NamedTuple):
     memory: int = 0
     persistent: bool = False
     holds: Any = None
+    precedes: bool = False
 
 
 def slot_of(terms: tuple[Term, ...], kind: str) -> int:

@@ -22,6 +22,9 @@ from .midstep import driving
 from .recording import Recording, recordings
 from .worlds import ReplayWorlds
 
+#: Time that laws which act by the clock have moved a branch before a recording in which it moves already [s].
+LEAD = 3.0
+
 
 class EffectArrays:
     """Parameters and memories of the effects in every world.
@@ -98,7 +101,8 @@ class EffectArrays:
         of_kind = ([x.kind == "joint" for x in terms], [x.kind == "link" for x in terms], [x.persistent for x in terms],
                    [x.holds is not None for x in terms])  # fmt: skip
         kinds = [(on & torch.tensor(k, device=on.device)).any(1, keepdim=True) for k in of_kind]
-        sets = torch.cat([on, *kinds, marks[:, None] != 0.0], 1)
+        preceding = (on & torch.tensor([x.precedes for x in terms], device=on.device)).any(1, keepdim=True)
+        sets = torch.cat([on, *kinds, marks[:, None] != 0.0, preceding], 1)
         groups = sets.view(rollout.blocks, rollout.model.width, -1).any(1)
         active = wp.to_torch(self.kernel.active).view(-1, *groups.shape)
         active.copy_(groups.expand_as(active))
@@ -158,6 +162,7 @@ def _branch_arguments(rollout: ReplayWorlds) -> list[Any]:
         wp.array([len(r.t) for r in sequence], dtype=int, device=device),
         wp.array([r.t_start for r in sequence], dtype=wp.float64, device=device),
         wp.array(offset, dtype=int, device=device),
+        wp.array([round(LEAD / rollout.case.dt) * r.sways for r in sequence], dtype=int, device=device),
         wp.array(inputs, dtype=wp.float64, device=device),
     ]
 

@@ -33,6 +33,8 @@ class Recording:
         fine: Of a torque fit, motion and efforts under a wider filter, at all samples, shape [T, 3 J + I].
         every: Of a torque fit, how many samples of ``fine`` there are to one that is kept; 0 before any are left out.
         off: Displacement at which a branch stands before it is pulled [m], shape [3]; zero where that is only noise.
+        sways: Whether the branch is off its calm pose or moves where a recording of the case begins: what acts by the
+            clock has acted before.
     """
 
     t: Array
@@ -46,6 +48,7 @@ class Recording:
     fine: Array | None = None
     every: int = 0
     off: Array = field(default_factory=lambda: np.zeros(3))
+    sways: bool = False
 
 
 def beginning(recording: Recording, count: int) -> Recording:
@@ -59,10 +62,11 @@ def recordings(case: BranchCase | JointCase) -> list[Recording]:
     """Return a case's trajectories; a branch's force is exactly zero where the gripper is known to be open."""
     if isinstance(case, BranchCase):
         noise = estimate_noise(case)
+        sways = any(any(_away(t, noise, 1)) for t in case.trajectories)
         return [
             Recording(t.t, np.where(t.no_contact[:, None], 0.0, t.force), np.hstack([t.displacement, t.velocity]),
                       np.zeros((0, 2)), ~t.no_contact, t.grasp, t.t_start, t.force,
-                      off=standing(t, noise))
+                      off=standing(t, noise), sways=sways)
             for t in case.trajectories
         ]  # fmt: skip
     return [
@@ -81,10 +85,16 @@ def standing(t: BranchTrajectory, noise: NoiseEstimate) -> Array:
     count = int(np.logical_and.accumulate(untouched[:MOST_STILL]).sum())
     if count == 0:
         return np.zeros(3)
+    off, moves = _away(t, noise, count)
+    return np.asarray(t.displacement[:count].mean(axis=0) * (off and not moves))
+
+
+def _away(t: BranchTrajectory, noise: NoiseEstimate, count: int) -> tuple[bool, bool]:
+    """Return whether the mean displacement of the first samples, and their mean velocity, are more than noise."""
     place, speed = t.displacement[:count].mean(axis=0), t.velocity[:count].mean(axis=0)
     off = np.abs(place) > FAR * noise.displacement / np.sqrt(count)
     moves = np.abs(speed) > FAR * noise.velocity / np.sqrt(count)
-    return np.asarray(place * (off.any() and not moves.any()))
+    return bool(off.any()), bool(moves.any())
 
 
 def _first_state(case: JointCase, output: Array, t: Array) -> Array:

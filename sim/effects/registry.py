@@ -129,6 +129,7 @@ class Law:
         per_joint: Whether every joint has its own.
         memory, persistent: See `kernels.effects.terms.Term`.
         settles: Whether a branch is at rest elsewhere than in its given pose while the effect acts.
+        precedes: Whether it acts by the clock, and so has moved a branch before a recording begins.
         active: Whether it may give energy, as a gust does; every other law takes energy or gives back what it stored.
         holds: Device function ``holds(j, p, r)`` of a law at a joint that keeps a branch off its rest, as dry friction
             does: of the torque ``r.torque`` what it holds, and the memory with which it does (`kernels.effects.held`).
@@ -146,6 +147,7 @@ class Law:
     memory: int = 0
     persistent: bool = False
     settles: bool = False
+    precedes: bool = False
     active: bool = False
     holds: Any = None
     mirror: Callable[[Sequence[float]], tuple[Sequence[float], float]] | None = None
@@ -270,6 +272,6 @@ def terms_of(names: tuple[str, ...], form: Form) -> tuple[Term, ...]:
     """Return the kernel terms of some effects, in the order of the registry, whatever the order of the names."""
     chosen = [e for e in effects() if e.name in names]
     return tuple(
-        Term(e.name, law.kind, law.law, slot, law.per_joint, law.memory, law.persistent, law.holds)
+        Term(e.name, law.kind, law.law, slot, law.per_joint, law.memory, law.persistent, law.holds, law.precedes)
         for slot, (e, law) in enumerate((e, e.law(form)) for e in chosen)
     )

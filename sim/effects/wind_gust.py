@@ -61,6 +61,7 @@ EFFECT = register(
             ),
             wind_gust,
             per_joint=False,
+            precedes=True,
             active=True,
         ),
     )

@@ -118,6 +118,9 @@ def test_where_it_stands_is_read_off_the_samples_before_the_pull(tmp_path):
         given.append(replace(trajectory, displacement=way, velocity=speed, force=sensed))
     noise = estimate_noise(replace(case, trajectories=tuple(given)))
     found = [standing(trajectory, noise) for trajectory in given]
+    for trajectory, sways in zip(given, (True, False, True, True), strict=True):
+        one = replace(case, trajectories=(trajectory, given[1]))
+        assert [r.sways for r in recordings(one)] == [sways] * 2
     np.testing.assert_allclose(found[0], place, atol=4 * 1e-3 / np.sqrt(10))
     for nothing in found[1:]:
         np.testing.assert_array_equal(nothing, 0.0)
