@@ -52,8 +52,8 @@ __all__ = ["GROUPS", "PARAMETERS", "Present", "Term", "effect_types", "step_of"]
 PARAMETERS = 6
 
 #: What follows the terms in ``active``: whether any term of a kind is on, any damage, any law that holds a branch off
-#: its rest, any load to rest under, and any law that has acted before a recording begins.
-GROUPS = ("joint", "link", "lasting", "holding", "resting", "preceding")
+#: its rest, any law that has acted before a recording begins, and any load to rest under.
+GROUPS = ("joint", "link", "lasting", "holding", "preceding", "resting")
 
 #: Least damper of a ball joint over its stiffness, in steps.
 LEAST_DAMPER = wp.constant(wp.float64(0.6))

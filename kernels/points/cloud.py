@@ -172,6 +172,16 @@ def draw_levels(key: wp.uint32, n: int, lanes: int, x: Any, y: Any, z: Any):
 
 
 @wp.func
+def shape_of(w: int, i: int, s: Shapes, cap: float):
+    """Return radius, start, axis, length and area of shape i of world w."""
+    r = s.radius[w, i]
+    start = s.start[w, i]
+    axis = s.end[w, i] - start
+    length = wp.length(axis)
+    return r, start, axis, length, capsule_area(r, length, cap)
+
+
+@wp.func
 def measure_shapes(w: int, s: Shapes, first: int, last: int, cap: float):
     """Return the area of shapes first ... last - 1 of world w and which is the last that has any, -1 for none."""
     total = wp.float32(0.0)
@@ -207,11 +217,7 @@ def spread_points(
     z = level
     edge = wp.float32(0.0)
     for i in range(first, final + 1):
-        r = s.radius[w, i]
-        start = s.start[w, i]
-        axis = s.end[w, i] - start
-        length = wp.length(axis)
-        area = capsule_area(r, length, cap)
+        r, start, axis, length, area = shape_of(w, i, s, cap)
         if area > 0.0:
             frame = frame_of(axis, length)
             start_level = edge
@@ -275,11 +281,7 @@ def spread_part(
     reached = reached - log_(uniform_high(key, n + p, reached))
     edge = wp.float32(0.0)
     for i in range(first, final + 1):
-        r = s.radius[w, i]
-        start = s.start[w, i]
-        axis = s.end[w, i] - start
-        length = wp.length(axis)
-        area = capsule_area(r, length, cap)
+        r, start, axis, length, area = shape_of(w, i, s, cap)
         if area > 0.0:
             start_level = edge
             edge = wp.where(i == final, FAR_EDGE, edge + area)

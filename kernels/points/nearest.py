@@ -120,12 +120,16 @@ def count_lanes(row: int, a: int, b: int, limit: float, most: int, lanes: int, c
 
 
 @wp.func
-def tile_of(row: int, k: int, m: int, j: int, c: Any):
-    """Coordinate m of the points of tile j of cloud k."""
-    out = Tile()
+def tile_of(row: int, k: int, j: int, c: Any):
+    """Coordinates of the points of tile j of cloud k."""
+    x = Tile()
+    y = Tile()
+    z = Tile()
     for i in range(16):
-        out[i] = c.flat[row, k, m, 16 * j + i]
-    return out
+        x[i] = c.flat[row, k, 0, 16 * j + i]
+        y[i] = c.flat[row, k, 1, 16 * j + i]
+        z[i] = c.flat[row, k, 2, 16 * j + i]
+    return x, y, z
 
 
 @wp.func
@@ -146,9 +150,7 @@ def count_tiles(row: int, a: int, b: int, limit: float, most: int, t: int, team:
     count = wp.int32(0)
     tiles = c.bound.shape[3]
     for j in range(t, tiles, team):
-        x = tile_of(row, a, 0, j, c)
-        y = tile_of(row, a, 1, j, c)
-        z = tile_of(row, a, 2, j, c)
+        x, y, z = tile_of(row, a, j, c)
         for other in range(tiles):
             if tile_gap(row, a, j, b, other, c) < limit and count < most:
                 for q in range(TILE * other, TILE * other + TILE):
@@ -328,9 +330,7 @@ def closest_tiles(row: int, a: int, b: int, limit: float, t: int, team: int, c: 
     best = Few(limit)
     tiles = c.bound.shape[3]
     for j in range(t, tiles, team):
-        x = tile_of(row, a, 0, j, c)
-        y = tile_of(row, a, 1, j, c)
-        z = tile_of(row, a, 2, j, c)
+        x, y, z = tile_of(row, a, j, c)
         for other in range(tiles):
             if tile_gap(row, a, j, b, other, c) < best[4]:
                 for q in range(TILE * other, TILE * other + TILE):

@@ -99,10 +99,9 @@ class EffectArrays:
         rollout.place_marks(self.arrays["settle"], marks)
         on, terms = acting.switched_on(columns), self.terms
         of_kind = ([x.kind == "joint" for x in terms], [x.kind == "link" for x in terms], [x.persistent for x in terms],
-                   [x.holds is not None for x in terms])  # fmt: skip
+                   [x.holds is not None for x in terms], [x.precedes for x in terms])  # fmt: skip
         kinds = [(on & torch.tensor(k, device=on.device)).any(1, keepdim=True) for k in of_kind]
-        preceding = (on & torch.tensor([x.precedes for x in terms], device=on.device)).any(1, keepdim=True)
-        sets = torch.cat([on, *kinds, marks[:, None] != 0.0, preceding], 1)
+        sets = torch.cat([on, *kinds, marks[:, None] != 0.0], 1)
         groups = sets.view(rollout.blocks, rollout.model.width, -1).any(1)
         active = wp.to_torch(self.kernel.active).view(-1, *groups.shape)
         active.copy_(groups.expand_as(active))

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from ....sim.effects import effect_of
 from ...cases.case import BranchCase, JointCase
 from ...replay.equation_error import simulation_of
 from ...replay.recording import Recording
@@ -18,8 +19,6 @@ from ...systems.branch import Unknowns
 SIZES = (128, 64, 32, 16)
 #: Effect that adds a joint to the branch, a third of a step more at three segments.
 JOINTED = "base_compliance"
-#: Effect that acts before a recording begins, which a whole group of lanes then waits for.
-BLOWN = "wind_gust"
 
 
 class Simulations:
@@ -66,8 +65,9 @@ class Simulations:
         on = acting.switched_on(values[:, values.shape[1] - len(acting.parameters) :])
         order = _side_by_side(on)
         jointed = on[order, acting.names.index(JOINTED)] if acting.has(JOINTED) else torch.ones_like(order).bool()
-        blown = on[order, acting.names.index(BLOWN)] if BLOWN in acting.names else torch.zeros_like(order).bool()
-        parts = [(kind, order[(jointed == kind) & (blown == wind)]) for kind in (False, True) for wind in (False, True)]
+        precedes = torch.tensor([effect_of(n).law(acting.form).precedes for n in acting.names], device=on.device)
+        waiting = (on[order] & precedes).any(1)  # a whole group of lanes waits for what acts before a recording begins
+        parts = [(kind, order[(jointed == kind) & (waiting == w)]) for kind in (False, True) for w in (False, True)]
         found = [self._simulated(kind, values[rows], start[rows]) for kind, rows in parts if len(rows)]
         out = torch.cat(found)
         return out[torch.argsort(torch.cat([rows for _, rows in parts]))]
