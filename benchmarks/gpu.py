@@ -215,6 +215,7 @@ CHECKS: dict[str, Callable[[str, bool], dict[str, Any]]] = {
 #: The arm among branches; its training comes last, with the time that is left.
 ARM: dict[str, Callable[[str, bool], dict[str, Any]]] = {
     "arm, steps": gpu_arm.check_arm_step,
+    "arm, contact": gpu_arm.check_contact,
     "arm, copies": gpu_arm.check_copies,
     "arm, planning": gpu_arm.check_planning,
     "arm, shares": gpu_arm.measure_shares,

@@ -64,6 +64,28 @@ def check_arm_step(device: str, quick: bool) -> dict[str, Any]:
             "ok": lost == 0 and full == 0 and finite and before == after}  # fmt: skip
 
 
+def check_contact(device: str, quick: bool) -> dict[str, Any]:
+    """Step worlds in which much touches here and on the CPU, and time it: who has most contacts decides how long.
+
+    Motion in contact parts quickly: the median world must be as near the CPU's as, within a factor of ten, the CPU is
+    to itself when the arms start a rounding apart.
+    """
+    from oracles.contact_case import act, busy
+
+    worlds, steps = (16, 24) if quick else (512, 72)
+    where: list[torch.Tensor] = []
+    for target, apart in (("cpu", 0.0), ("cpu", 2.0e-7), (device, 0.0)):
+        sim = busy(worlds, device=target)
+        sim.q.mul_(1.0 + apart)
+        most = max(act(sim, steps, look=lambda sim: int(sim._touch.count.max())))
+        where.append(torch.cat([sim.observe()[0].flatten(1), sim.q], dim=1).cpu().double())
+    own, here = (float((w - where[0]).abs().amax(1).median()) for w in where[1:])
+    lost, full = len(sim.faults()), int(sim.overflow.sum())
+    return {"worlds": worlds, "most_contacts": most, "cpu_median": own, "median": here, "lost": lost,
+            "contacts_without_room": full, "step_s": _seconds(sim.step, device, 2 if quick else 24),
+            "ok": here < 10.0 * own + 1e-6 and lost == 0 and full == 0}  # fmt: skip
+
+
 def check_copies(device: str, quick: bool) -> dict[str, Any]:
     """Count the copies between host and device that the profiler sees in ten replayed policy steps: none."""
     task = _task(device, quick, 16 if quick else 1024)

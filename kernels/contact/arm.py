@@ -127,6 +127,7 @@ def arm_types(dof: int) -> SimpleNamespace:
         weight: wp.array(dtype=Row)
         velocity: wp.array(dtype=Row)
         held: wp.array(dtype=Row)
+        changed: wp.array(dtype=int)
 
     return SimpleNamespace(Arm=Arm, ArmState=ArmState, ArmWork=ArmWork, Row=Row, Square=Square, Tall=Tall)
 
@@ -488,8 +489,8 @@ def push_arm(w: int, k: Any, z: Any, h: float):
 
 
 @wp.func(inline=True)
-def judge_servos(w: int, a: Any, x: Any, k: Any, h: float) -> int:
-    """Note the servos' torques and correct which joints are at their limit; return whether that changed anything."""
+def judge_servos(w: int, a: Any, x: Any, k: Any, h: float):
+    """Note the servos' torques and correct which joints are at their limit, and whether that changed anything."""
     g = k.weight[w]
     v = k.velocity[w]
     held = k.held[w]
@@ -507,7 +508,7 @@ def judge_servos(w: int, a: Any, x: Any, k: Any, h: float) -> int:
             held[j] = wp.where(limited * held[j] < 0.0, 0.0, limited)
             changed = 1
     k.held[w] = held
-    return changed
+    k.changed[w] = changed
 
 
 @wp.func(inline=True)

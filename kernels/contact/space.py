@@ -1,4 +1,4 @@
-"""All contacts of one world, solved together in the space of their forces.
+"""What all contacts of one world yield to each other's forces: the space that `solve` finds the forces in.
 
 The branches' articulated inertia is folded once, without contacts (`articulated`). A force on a link then changes the
 accelerations of the links by what the folded inertias say: inward along the path, at a spherical joint,
@@ -12,12 +12,7 @@ brings without contact,
 
     v_i = v0_i + h sum_j C_ij f_j
 
-and `law.grip` solves one contact exactly for given forces of the others. Sweeps over the contacts (block
-Gauss-Seidel) converge, slowly where contacts push each other through stiff parts; a step of Newton's method for those
-that press goes before each sweep until it has failed twice to bring the forces nearer (as projected Gauss-Seidel with
-subspace minimisation: Silcowitz, Niebe, Erleben, 2010). Of 3414 problems from fast sweeps 90 % are solved in 4 sweeps,
-99 % in 13, all in 40; sweeps alone take 14 for 90 %, Newton alone leaves 9 % unsolved. A sweep is always last, so that
-every force pushes and lies in its cone. Everything is in the contacts' frames (n, t1, t2).
+Everything is in the contacts' frames (n, t1, t2).
 """
 
 from typing import Any
@@ -39,7 +34,7 @@ from ..lanes.algebra import (
     transposed_mul,
     vec3_of,
 )
-from ..lanes.real import REAL_OF_WIDTH, fma, lane, real
+from ..lanes.real import lane, real
 from ..tree.articulated import (
     FIXED,
     PRISMATIC,
@@ -48,15 +43,9 @@ from ..tree.articulated import (
     scalar_acceleration,
     spherical_acceleration,
 )
-from .law import ContactRule, frame_of, grip, resistance, within_cone
+from .law import ContactRule, frame_of, resistance
 
-__all__ = ["mark_paths", "note_response", "press_links", "respond", "set_out_contacts", "solve_contacts", "summed"]
-
-#: Share of the greatest force, and force [N], by which a sweep may still change one when the contacts count as solved.
-SETTLED = wp.constant(5.0e-3)
-FEEBLE = wp.constant(5.0e-3)
-#: Newton steps that may fail to bring the forces nearer before there are only sweeps.
-FAILURES = wp.constant(2)
+__all__ = ["find_yields", "mark_paths", "press_links", "respond", "set_out_contacts"]
 
 
 # ---- lanes: the group's links ----------------------------------------------------------------------------------------
@@ -207,8 +196,8 @@ def copy_link(e: int, row: int, lane_: int, i: int, at: int, m: Any, s: Any, p: 
 
 
 @wp.func(inline=True)
-def list_paths(e: int, row: int, lane_: int, w: int, m: Any, s: Any, rule: ContactRule, p: Any, h: wp.float64) -> int:
-    """Number the links between this world's contacts and the root from 1; return the last number."""
+def list_paths(e: int, row: int, lane_: int, w: int, m: Any, s: Any, rule: ContactRule, p: Any, h: wp.float64):
+    """Number the links between this world's contacts and the root from 1; ``p.size`` is the last number."""
     p.number[row, 0] = 0
     for i in range(1, m.count[e] + 1):
         p.number[row, i] = -1
@@ -221,7 +210,7 @@ def list_paths(e: int, row: int, lane_: int, w: int, m: Any, s: Any, rule: Conta
             size = size + 1
             p.number[row, i] = size
             copy_link(e, row, lane_, i, size, m, s, p, h)
-    return size
+    p.size[row] = size
 
 
 # ---- one world: unit responses, a direction a lane -------------------------------------------------------------------
@@ -234,47 +223,47 @@ def turns_of(count: int, width: int):
 
 
 @wp.func(inline=True)
-def carry_inward(row: int, at: int, p: Any):
+def carry_inward(row: int, own: int, at: int, p: Any):
     """Hand a link's moments and forces to its parent; its joint's own answer stays in ``alpha``, or ``alpha.x``."""
-    n = p.n[row, at]
-    f = p.f[row, at]
+    n = p.n[own, at]
+    f = p.f[own, at]
     kind = p.kind[row, at]
     if kind != FIXED:
         answer, n, f = cross_joint(kind, p.D[row, at], p.U[row, at], p.k[row, at], n, f)
-        p.alpha[row, at] = answer
+        p.alpha[own, at] = answer
     up = p.up[row, at]
-    p.n[row, up] = add_cross(p.n[row, up] + n, p.r[row, at], f)
-    p.f[row, up] = p.f[row, up] + f
+    p.n[own, up] = add_cross(p.n[own, up] + n, p.r[row, at], f)
+    p.f[own, up] = p.f[own, up] + f
 
 
 @wp.func(inline=True)
-def answer_outward(row: int, at: int, p: Any):
+def answer_outward(row: int, own: int, at: int, p: Any):
     """A link's angular acceleration and its joint point's, from its parent's."""
     kind = p.kind[row, at]
     up = p.up[row, at]
-    turned = p.alpha[row, up]
-    accel = add_cross(p.accel[row, up], turned, p.r[row, at])
+    turned = p.alpha[own, up]
+    accel = add_cross(p.accel[own, up], turned, p.r[row, at])
     if kind == SPHERICAL:
-        turned = add_mul(sub_mul(p.alpha[row, at], p.U[row, at], accel), p.D[row, at], turned * p.k[row, at])
+        turned = add_mul(sub_mul(p.alpha[own, at], p.U[row, at], accel), p.D[row, at], turned * p.k[row, at])
     elif kind != FIXED:
         U = p.U[row, at]
-        rate = p.alpha[row, at].x - (dot(U.x, turned) + dot(U.y, accel)) * p.k[row, at]
+        rate = p.alpha[own, at].x - (dot(U.x, turned) + dot(U.y, accel)) * p.k[row, at]
         if kind == PRISMATIC:
             accel = add_scaled(accel, U.z, rate)
         else:
             turned = add_scaled(turned, U.z, rate)
-    p.alpha[row, at] = turned
-    p.accel[row, at] = accel
+    p.alpha[own, at] = turned
+    p.accel[own, at] = accel
 
 
 @wp.func(inline=True)
-def give_units(row: int, w: int, first: int, width: int, size: int, rule: ContactRule, p: Any):
+def give_units(row: int, own: int, w: int, first: int, width: int, size: int, rule: ContactRule, p: Any):
     """Put one unit force of a contact into every lane: directions ``first``, ``first`` + 1, ..., three a contact."""
     o = real(0.0, p.k[row, 0])
-    like = p.n[row, 0]
+    like = p.n[own, 0]
     for at in range(size + 1):
-        p.n[row, at] = type(like)(o, o, o)
-        p.f[row, at] = type(like)(o, o, o)
+        p.n[own, at] = type(like)(o, o, o)
+        p.f[own, at] = type(like)(o, o, o)
     for lane_ in range(width):
         n = (first + lane_) // 3
         if n < rule.count[w]:
@@ -282,28 +271,28 @@ def give_units(row: int, w: int, first: int, width: int, size: int, rule: Contac
             if link > 0:
                 frame = p.frame[row, n]
                 force = frame[(first + lane_) % 3]
-                load_link(row, lane_, p.number[row, link], rule.record[w, n].lever, force, p)
+                load_link(own, lane_, p.number[row, link], rule.record[w, n].lever, force, p)
                 second = rule.record[w, n].second_link
                 if second > 0:
                     back = wp.vec3(0.0, 0.0, 0.0) - force
-                    load_link(row, lane_, p.number[row, second], rule.record[w, n].second_lever, back, p)
+                    load_link(own, lane_, p.number[row, second], rule.record[w, n].second_lever, back, p)
 
 
 @wp.func(inline=True)
-def read_yields(row: int, w: int, turn: int, turns: int, rule: ContactRule, p: Any):
+def read_yields(row: int, own: int, w: int, turn: int, turns: int, rule: ContactRule, p: Any):
     """Write what every contact yields, in its frame, to the unit forces in the lanes: rows of sum J M^-1 J^T."""
     o = real(0.0, p.k[row, 0])
     for j in range(rule.count[w]):
         link = rule.record[w, j].link
         if link > 0:
             at = p.number[row, link]
-            accel = p.accel[row, at]
-            a = add_cross(accel, p.alpha[row, at], spread(rule.record[w, j].lever, accel))
+            accel = p.accel[own, at]
+            a = add_cross(accel, p.alpha[own, at], spread(rule.record[w, j].lever, accel))
             second = rule.record[w, j].second_link
             if second > 0:
                 at = p.number[row, second]
                 lever = spread(rule.record[w, j].second_lever, accel)
-                a = a - add_cross(p.accel[row, at], p.alpha[row, at], lever)
+                a = a - add_cross(p.accel[own, at], p.alpha[own, at], lever)
             frame = p.frame[row, j]
             for axis in range(3):
                 p.branch[row, (3 * j + axis) * turns + turn] = dot(a, spread(frame[axis], accel))
@@ -313,28 +302,32 @@ def read_yields(row: int, w: int, turn: int, turns: int, rule: ContactRule, p: A
 
 
 @wp.func(inline=True)
-def find_yields(row: int, w: int, width: int, size: int, rule: ContactRule, p: Any):
-    """Find what all contacts of a world yield to each other's unit forces through the branches."""
+def find_yields(row: int, thread: int, threads: int, w: int, width: int, rule: ContactRule, p: Any):
+    """Find what all contacts of a world yield to each other's unit forces through the branches.
+
+    A team's threads take directions in turn; each writes them through the tree in a row ``own`` of its own.
+    """
+    own = row * threads + thread
     o = real(0.0, p.k[row, 0])
-    like = p.n[row, 0]
-    p.alpha[row, 0] = type(like)(o, o, o)
-    p.accel[row, 0] = type(like)(o, o, o)
+    like = p.n[own, 0]
+    p.alpha[own, 0] = type(like)(o, o, o)
+    p.accel[own, 0] = type(like)(o, o, o)
+    size = p.size[row]
     turns = turns_of(rule.count[w], width)
-    for turn in range(turns):
-        give_units(row, w, turn * width, width, size, rule, p)
+    for turn in range(thread, turns, threads):
+        give_units(row, own, w, turn * width, width, size, rule, p)
         for step in range(size):
-            carry_inward(row, size - step, p)
+            carry_inward(row, own, size - step, p)
         for step in range(size):
-            answer_outward(row, step + 1, p)
-        read_yields(row, w, turn, turns, rule, p)
+            answer_outward(row, own, step + 1, p)
+        read_yields(row, own, w, turn, turns, rule, p)
 
 
 @wp.func(inline=True)
 def set_out_contacts(
-    e: int, row: int, lane_: int, w: int, width: int, m: Any, s: Any, rule: ContactRule, p: Any, h: float,
-    dt: wp.float64,
+    e: int, row: int, lane_: int, w: int, m: Any, s: Any, rule: ContactRule, p: Any, h: float, dt: wp.float64
 ):  # fmt: skip
-    """Everything about a world's contacts that does not depend on the arm."""
+    """Set out a world's contacts, and the links that they act on, for `find_yields`."""
     for n in range(rule.count[w]):
         c = rule.record[w, n]
         p.frame[row, n] = frame_of(c.normal)
@@ -350,219 +343,4 @@ def set_out_contacts(
             turned = vec3_of(s.alpha[row, c.second_link], lane_)
             v = v - h * (vec3_of(s.accel[row, c.second_link], lane_) + wp.cross(turned, c.second_lever))
         p.still[row, n] = v
-    size = list_paths(e, row, lane_, w, m, s, rule, p, dt)
-    find_yields(row, w, width, size, rule, p)
-
-
-# ---- one world: the solve --------------------------------------------------------------------------------------------
-#
-# Sizes come from types, not from arguments: they are constants then before anything is inlined. With arguments the step
-# of one world a thread took 9 % longer.
-
-
-@wp.func(inline=True)
-def lanes_of(x: wp.float32):
-    return 1
-
-
-for _W in (8, 16):
-    Lanes = REAL_OF_WIDTH[_W]
-
-    @wp.func(inline=True)
-    def lanes_of(x: Lanes):
-        """How many worlds a real holds."""
-        return len(x.v)
-
-
-del Lanes
-
-
-@wp.func(inline=True)
-def note_response(row: int, n: int, turns: int, J: Any, Y: Any, v: Any, p: Any):
-    """Write down what the arm yields at contact n, and how fast the contact is without any force: v0 + J v."""
-    width = lanes_of(p.velocity[row, 0])
-    free = p.frame[row, n] * p.still[row, n]
-    for axis in range(3):
-        d = 3 * n + axis
-        total = free[axis]
-        for j in range(len(v)):
-            p.arm_entry[row, j * turns + d // width, 0, d % width] = Y[j, axis]
-            total = total + J[j, axis] * v[j]
-        p.free_entry[row, d // width, 0, d % width] = total
-
-
-@wp.func(inline=True)
-def summed(row: int, count: int, turns: int, p: Any, like: Any):
-    """sum_j Y_j f_j, of the type of ``like``."""
-    width = lanes_of(p.velocity[row, 0])
-    z = type(like)()
-    for n in range(count):
-        f = p.force[row, n]
-        for axis in range(3):
-            d = 3 * n + axis
-            for j in range(len(z)):
-                z[j] = z[j] + p.arm_entry[row, j * turns + d // width, 0, d % width] * f[axis]
-    return z
-
-
-@wp.func(inline=True)
-def add_arm(row: int, count: int, turns: int, p: Any, like: Any, h: float):
-    """h (C_branches + Y^T Y), and v of the present forces; ``like`` is a row of the arm's size."""
-    width = lanes_of(p.velocity[row, 0])
-    for q in range(turns):
-        p.velocity[row, q] = p.free[row, q]
-    for n in range(count):
-        f = p.force[row, n]
-        for axis in range(3):
-            d = 3 * n + axis
-            for q in range(turns):
-                y = p.branch[row, d * turns + q]
-                for j in range(len(like)):
-                    one = real(p.arm_entry[row, j * turns + d // width, 0, d % width], y)
-                    y = fma(p.arm[row, j * turns + q], one, y)
-                y = y * real(h, y)
-                p.total[row, d * turns + q] = y
-                p.velocity[row, q] = fma(y, real(f[axis], y), p.velocity[row, q])
-
-
-@wp.func(inline=True)
-def change_force(row: int, i: int, turns: int, new: wp.vec3, p: Any):
-    """Set the force of contact i, and v of all contacts."""
-    change = new - p.force[row, i]
-    p.force[row, i] = new
-    for q in range(turns):
-        v = p.velocity[row, q]
-        for axis in range(3):
-            v = fma(p.total[row, (3 * i + axis) * turns + q], real(change[axis], v), v)
-        p.velocity[row, q] = v
-
-
-@wp.func(inline=True)
-def velocity_of(row: int, i: int, p: Any) -> wp.vec3:
-    """Velocity of contact i under the present forces."""
-    width = lanes_of(p.velocity[row, 0])
-    v = wp.vec3(0.0, 0.0, 0.0)
-    for axis in range(3):
-        v[axis] = p.velocity_entry[row, (3 * i + axis) // width, 0, (3 * i + axis) % width]
-    return v
-
-
-@wp.func(inline=True)
-def total_of(row: int, i: int, j: int, turns: int, p: Any) -> wp.mat33:
-    """What contact i yields to the force of contact j."""
-    width = lanes_of(p.velocity[row, 0])
-    C = wp.mat33()
-    for b in range(3):
-        d = 3 * j + b
-        for a in range(3):
-            C[a, b] = p.total_entry[row, (3 * i + a) * turns + d // width, 0, d % width]
-    return C
-
-
-@wp.func(inline=True)
-def sweep(row: int, count: int, turns: int, mu: float, creep: float, p: Any):
-    """Solve the contacts one after the other; return the greatest change of a force and the greatest force."""
-    moved = float(0.0)
-    most = float(0.0)
-    for i in range(count):
-        old = p.force[row, i]
-        v = velocity_of(row, i, p)
-        if old[0] > 0.0 or p.spring[row, i] > p.resist[row, i] * v[0]:
-            own = total_of(row, i, i, turns, p)
-            new, give = grip(v - own * old, own, p.spring[row, i], p.resist[row, i], mu, creep, p.give[row, i])
-            p.give[row, i] = give
-            change_force(row, i, turns, new, p)
-            moved = wp.max(moved, wp.length(new - old))
-            most = wp.max(most, wp.length(new))
-    return moved, most
-
-
-@wp.func(inline=True)
-def assemble(row: int, size: int, turns: int, mu: float, creep: float, p: Any):
-    """(1 - F' h C) df = F(v) - f of the contacts that press, F the law and F' its derivative."""
-    for a in range(size):
-        i = p.pressing[row, a]
-        v = velocity_of(row, i, p)
-        f = p.force[row, i]
-        K = p.resist[row, i]
-        normal = p.spring[row, i] - K * v[0]
-        speed = wp.sqrt(v[1] * v[1] + v[2] * v[2])
-        pace = wp.max(speed, creep)
-        t1 = v[1] / pace
-        t2 = v[2] / pace
-        slip = wp.where(speed > creep, 1.0, 0.0)
-        d = 0.0 - mu * f[0] / pace
-        F1 = wp.mat33(0.0 - K, 0.0, 0.0, mu * K * t1, d * (1.0 - slip * t1 * t1), 0.0 - d * slip * t1 * t2,
-                      mu * K * t2, 0.0 - d * slip * t1 * t2, d * (1.0 - slip * t2 * t2))  # fmt: skip
-        g = wp.vec3(normal, 0.0 - mu * normal * t1, 0.0 - mu * normal * t2) - f
-        for b in range(size):
-            A = wp.mat33() - F1 * total_of(row, i, p.pressing[row, b], turns, p)
-            if a == b:
-                A = A + wp.identity(n=3, dtype=wp.float32)
-            for r in range(3):
-                for q in range(3):
-                    p.matrix[row, 3 * a + r, 3 * b + q] = A[r, q]
-        for r in range(3):
-            p.right[row, 3 * a + r] = g[r]
-
-
-@wp.func(inline=True)
-def eliminate(row: int, size: int, p: Any):
-    """Gauss in place, without a change of order: the diagonal is 1 and more; the solution is in ``right``."""
-    for k in range(size):
-        pivot = p.matrix[row, k, k]
-        inverse = 1.0 / wp.where(wp.abs(pivot) < 1.0e-6, 1.0e-6, pivot)
-        p.matrix[row, k, k] = inverse
-        for i in range(k + 1, size):
-            share = p.matrix[row, i, k] * inverse
-            for j in range(k + 1, size):
-                p.matrix[row, i, j] = p.matrix[row, i, j] - share * p.matrix[row, k, j]
-            p.right[row, i] = p.right[row, i] - share * p.right[row, k]
-    for step in range(size):
-        k = size - 1 - step
-        total = p.right[row, k]
-        for j in range(k + 1, size):
-            total -= p.matrix[row, k, j] * p.right[row, j]
-        p.right[row, k] = total * p.matrix[row, k, k]
-
-
-@wp.func(inline=True)
-def newton(row: int, count: int, turns: int, mu: float, creep: float, p: Any):
-    """One step of Newton's method for the contacts that press, cut to their cones."""
-    size = int(0)
-    most = p.pressing.shape[1]
-    for i in range(count):
-        if p.force[row, i][0] > 0.0:
-            if size < most:
-                p.pressing[row, size] = i
-            size = size + 1
-    if size > 1 and size <= most:
-        assemble(row, size, turns, mu, creep, p)
-        eliminate(row, 3 * size, p)
-        for a in range(size):
-            i = p.pressing[row, a]
-            f = p.force[row, i] + wp.vec3(p.right[row, 3 * a], p.right[row, 3 * a + 1], p.right[row, 3 * a + 2])
-            change_force(row, i, turns, within_cone(f[0], f[1], f[2], mu), p)
-
-
-@wp.func(inline=True)
-def solve_contacts(
-    row: int, count: int, turns: int, mu: float, rule: ContactRule, p: Any, like: Any, h: float
-) -> int:  # fmt: skip
-    """Find the forces of all contacts of a world; return whether they were still changing at the end."""
-    add_arm(row, count, turns, p, like, h)
-    changed = int(1)
-    least = float(1.0e30)
-    failed = int(0)
-    for turn in range(rule.repeats):
-        if changed == 1:
-            leap = wp.where(turn > 0 and failed < FAILURES, 1, 0)
-            if leap == 1:
-                newton(row, count, turns, mu, rule.creep, p)
-            moved, most = sweep(row, count, turns, mu, rule.creep, p)
-            if count == 1 or moved <= SETTLED * most + FEEBLE:
-                changed = 0
-            if leap == 1 and moved > 0.7 * least:
-                failed = failed + 1
-            least = wp.min(least, moved)
-    return changed
+    list_paths(e, row, lane_, w, m, s, rule, p, dt)

@@ -59,6 +59,7 @@ class ArmArrays:
             self._field(self._work, name, worlds, self.types.Square)
         for name in ("bias", "weight", "velocity", "held"):
             self._field(self._work, name, worlds, self.types.Row)
+        self._field(self._work, "changed", worlds, int)
         views = {name: wp.to_torch(getattr(self._state, name)) for name in self._state._cls.vars}
         self.q, self.qd, self.torque, self.target = (views[k] for k in ("q", "qd", "torque", "target"))
         self.force, self.end_position, self.end_rotation = (views[k] for k in ("force", "end_position", "end_rotation"))
@@ -338,13 +339,15 @@ class TouchArrays:
         out = self._types.Space()
         rows, places = self._path.shape
         turns = -(-3 * capacity // self._model.width)
-        kinds = {"D": "Sym", "U": "Mat", "k": "Real"} | dict.fromkeys(("r", "n", "f", "alpha", "accel"), "Vec")
+        kinds = {"D": "Sym", "U": "Mat", "k": "Real", "r": "Vec"}
         fields = {name: launcher.field(kind) for name, kind in kinds.items()}
+        fields |= {name: launcher.field("Vec", team=launcher.team) for name in ("n", "f", "alpha", "accel")}
         sizes = {"branch": 3 * capacity * turns, "total": 3 * capacity * turns, "arm": dof * turns, "free": turns,
                  "velocity": turns}  # fmt: skip
-        fields |= {name: launcher.field("Real", places=size) for name, size in sizes.items()}
+        fields |= {name: launcher.field("Real", places=size, by_link=False) for name, size in sizes.items()}
         _set_fields(out, fields)
         shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("number", "up", "kind"), (rows, places))
+        shapes |= {"gate": (rows, 2), "size": (rows,)}
         shapes |= dict.fromkeys(("frame", "still", "force", "spring", "resist", "give"), (rows, capacity))
         shapes |= {"pressing": (rows, DIRECT), "matrix": (rows, 3 * DIRECT, 3 * DIRECT), "right": (rows, 3 * DIRECT)}
         self._space_fields, self._space = fields, {}

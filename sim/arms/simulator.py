@@ -13,7 +13,7 @@ import warp as wp
 
 from ...kernels.contact.look import capsule_kernel
 from ...kernels.contact.reset_arm import reset_arm_kernel
-from ...kernels.contact.step import contact_step_kernel
+from ...kernels.contact.step import contact_step_kernel, contact_step_parts
 from ...kernels.effects.step import term_types
 from ..base.errors import InputError
 from ..base.thread_pool import recorded
@@ -282,14 +282,41 @@ class ArmSimulator(Simulator):
         return super().load
 
     def _prepare_step(self, count: int, *, split: bool) -> Callable[[], None]:
+        if self._launcher.by_group:
+            return self._launcher.prepare_parts(self._parts(count * self.substeps))
         kernel = contact_step_kernel(self.model.width, self.arm.num_dofs, self.effects.terms)
-        types = term_types(self.model.width, self.model.precision)
-        # a step without effects reads neither
-        laws = [self.load.kernel, self.effects.kernel] if self.effects else [types.Load(), types.Terms()]
-        worlds = self._slot_world.reshape((1, -1))
-        before = [self._dynamics, self.state.kernel, *self._arm.kernel, *self._touch.kernel, *laws, worlds]
+        before = [*self._movers(), *self._touch.kernel, *self._laws(), self._worlds()]
         after = [count * self.substeps, self.dt / self.substeps, self.max_speed]
         return self._launcher.prepare(kernel, before, after, split=split)
+
+    def _movers(self) -> list[Any]:
+        return [self._dynamics, self.state.kernel, *self._arm.kernel]
+
+    def _laws(self) -> list[Any]:
+        types = term_types(self.model.width, self.model.precision)
+        # a step without effects reads neither
+        return [self.load.kernel, self.effects.kernel] if self.effects else [types.Load(), types.Terms()]
+
+    def _worlds(self) -> wp.array:
+        return self._slot_world.reshape((1, -1))
+
+    def _parts(self, substeps: int) -> list[tuple[Any, int | None, list[Any]]]:
+        """Return the kernels of so many substeps in their order, with threads a world and arguments."""
+        team, h, scratch, worlds = self._launcher.team, self.dt / self.substeps, self._launcher.scratch, self._worlds()
+        parts = contact_step_parts(self.arm.num_dofs, self.effects.terms, team)
+        rule, _, touch, space, lanes = self._touch.kernel
+        before = [*self._movers(), *self._touch.kernel, *self._laws(), worlds, scratch]
+        solved = [*self._arm.kernel, rule, space, worlds, 0, h]
+        after = [*self._movers(), rule, touch, space, lanes, worlds, scratch, h, self.max_speed]
+        return [
+            part
+            for step in range(substeps)
+            for part in (
+                (parts.approach, None, [*before, step, substeps, h]),
+                (parts.solve, team, solved),
+                (parts.leave, None, [*after, int(step == substeps - 1)]),
+            )
+        ]
 
     def look(self) -> None:
         """Write where all capsules are into `capsules`."""

@@ -31,8 +31,8 @@ class LaneArray:
     """One field of every link of every world.
 
     Memory is [group, place, component, lane] on a CPU (worlds of a group side by side in vector registers) and
-    [place, group, component, lane] on a GPU (neighbouring threads touch neighbouring memory). Kernels index both as
-    [group, place].
+    [place, group, component, lane] on a GPU (neighbouring threads touch neighbouring memory), unless ``by_link`` says
+    otherwise. Kernels index both as [group, place].
 
     Attributes:
         kernel: The Warp array of structs that kernels take, shape [groups, places].
@@ -40,12 +40,13 @@ class LaneArray:
     """
 
     def __init__(
-        self, kind: str, groups: int, places: int, *, width: int = 1, precision: int = 32, device: Any = None
-    ) -> None:
+        self, kind: str, groups: int, places: int, *, width: int = 1, precision: int = 32, device: Any = None,
+        by_link: bool | None = None,
+    ) -> None:  # fmt: skip
         self.device = wp.get_device(device)
         self.width, self.components = width, COMPONENTS[kind]
         scalar = wp.float64 if precision == 64 else wp.float32
-        self._link_major = link_major(self.device)
+        self._link_major = link_major(self.device) if by_link is None else by_link
         shape = (places, groups) if self._link_major else (groups, places)
         self._memory = wp.zeros((*shape, self.components, width), dtype=scalar, device=self.device)
         struct = getattr(layout_of(width, precision), kind)

@@ -34,6 +34,16 @@ COMPILING = "compiling kernels (once for each set of laws; minutes)"
 BLOCK = 32
 
 
+def rows_by_group(device: Any) -> bool:
+    """Return whether every group has a scratch row of its own (GPU), or every thread (CPU)."""
+    return bool(device.is_cuda)
+
+
+def team_of(device: Any) -> int:
+    """Return how many threads share what takes long in some worlds: those of a block on a GPU, one on a CPU."""
+    return BLOCK if device.is_cuda else 1
+
+
 class Launcher:
     """Launches kernels over the groups of a model.
 
@@ -42,15 +52,18 @@ class Launcher:
 
     Attributes:
         scratch: The kernels' working memory (`kernels.tree.layout` Scratch).
+        by_group: Whether every group has a scratch row, so that several kernels in turn may make a step.
+        team: `team_of` its device.
     """
 
     def __init__(self, model: Model, threads: int | None = None) -> None:
         self.model, self.device = model, model.device
-        cuda = self.device.is_cuda
+        self.by_group, self.team = rows_by_group(self.device), team_of(self.device)
+        self._block = BLOCK if self.device.is_cuda else 1
         wanted = num_threads() if threads is None else threads
-        self.threads = 1 if cuda else max(1, min(wanted, model.groups))
-        self._stride = 1 if cuda or self.threads == 1 else 1 + -(-APART // self._row_bytes(model))
-        self._rows = model.groups if cuda else 1 + self._stride * (self.threads - 1)
+        self.threads = 1 if self.by_group else max(1, min(wanted, model.groups))
+        self._stride = 1 if self.threads == 1 else 1 + -(-APART // self._row_bytes(model))
+        self._rows = model.groups if self.by_group else 1 + self._stride * (self.threads - 1)
         cuts = np.linspace(0, model.groups, self.threads + 1).astype(int)
         self._ranges = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
         self._fields = {name: self.field(kind) for name, kind in _SCRATCH.items()}
@@ -63,11 +76,17 @@ class Launcher:
         """Bytes of the smallest field's row: one real a place."""
         return (model.places + 1) * model.width * model.precision // 8
 
-    def field(self, kind: str, places: int | None = None) -> LaneArray:
-        """Return a zeroed working array, a row a thread on a CPU and a row a group on a GPU."""
+    def field(
+        self, kind: str, places: int | None = None, *, by_link: bool | None = None, team: int = 1
+    ) -> LaneArray:  # fmt: skip
+        """Return a zeroed working array, a row a thread on a CPU and a row a group on a GPU, or so many for a team.
+
+        With ``by_link`` false a row's places lie side by side on a GPU, too: for what a team works on together.
+        """
         m = self.model
-        count = m.places + 1 if places is None else places
-        return LaneArray(kind, self._rows, count, width=m.width, precision=m.precision, device=self.device)
+        count, rows = m.places + 1 if places is None else places, self._rows * team
+        shape: dict[str, Any] = {"width": m.width, "precision": m.precision, "device": self.device}
+        return LaneArray(kind, rows, count, by_link=by_link, **shape)
 
     @property
     def nbytes(self) -> int:
@@ -82,20 +101,33 @@ class Launcher:
         Launches are recorded once, so that a call costs microseconds and allocates nothing. With ``split`` false all
         groups run on the calling thread, as a graph capture needs.
         """
-        block = BLOCK if self.device.is_cuda else 1
-        load(kernel.module, self.device, block)
+        load(kernel.module, self.device, self._block)
         ranges = self._ranges if split else [(0, self.model.groups)]
         commands = [
             recorded(
                 kernel,
                 b - a,
-                [*before, self.scratch, a, -1 if self.device.is_cuda else row * self._stride, *after],
+                [*before, self.scratch, a, -1 if self.by_group else row * self._stride, *after],
                 self.device,
-                block,
+                self._block,
             )
             for row, (a, b) in enumerate(ranges)
         ]
         return together([[c] for c in commands])
+
+    def prepare_parts(self, parts: Sequence[tuple[Any, int | None, Sequence[Any]]]) -> Callable[[], None]:
+        """Return a function that launches kernels over all groups one after the other, where rows are by group.
+
+        Args:
+            parts: Kernels with the threads that each group has, None for one (the kernel has one dimension then), and
+                all their arguments.
+        """
+        commands, groups = [], self.model.groups
+        for kernel, team, inputs in parts:
+            load(kernel.module, self.device, self._block)
+            dim = groups if team is None else (groups, team)
+            commands.append(recorded(kernel, dim, inputs, self.device, self._block))
+        return Launches(commands)
 
 
 def load(module: Any, device: Any, block: int) -> None:

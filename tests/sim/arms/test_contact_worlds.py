@@ -15,7 +15,7 @@ from bough.sim.arms.simulator import Contacts
 from bough.sim.base.errors import InputError
 from bough.sim.base.host import simd_width
 from bough.sim.trees.tree import Joint, Tree
-from oracles.contact_case import DT, STRETCHED, contacts_of, post, simulator, ternary
+from oracles.contact_case import DT, STRETCHED, act, bits, busy, contacts_of, post, same, simulator, ternary
 
 ARM = jaco2()
 RADIUS = np.r_[ARM.base_radius, ARM.tree.shape_radius.mean(axis=1)]
@@ -242,45 +242,6 @@ def test_a_falling_branch_rests_on_the_ground():
 
 
 # ---- many worlds ---------------------------------------------------------------------------------------------------
-
-
-def busy(worlds: int, seed: int = 0, **options):
-    """Make worlds of different trees of 13 and 40 links, arms at random poses among them, line and ground."""
-    rng = np.random.default_rng(seed)
-    trees, q = [], []
-    for _ in range(worlds):
-        angle, far = rng.uniform(0, 2 * np.pi), rng.uniform(0.4, 0.6)
-        root = (far * np.cos(angle), far * np.sin(angle), -0.1)
-        trees.append(ternary(rng, order=int(rng.integers(2, 4)), root=root))
-        towards = np.pi - angle + rng.choice([-0.6, 0.6])
-        q.append(np.r_[towards, rng.uniform(3.9, 4.6), rng.uniform(2.6, 3.6), rng.uniform(-3, 3, 3)])
-    sim = simulator(trees, q=np.array(q), contacts={"ground": -0.3, "capacity": 64}, **options)
-    sim.line_start.copy_(torch.tensor([0.45, -1.0, 0.6]))
-    sim.line_end.copy_(torch.tensor([0.45, 1.0, 0.7]))
-    sim.line_mask.copy_(torch.arange(worlds) % 2)
-    return sim
-
-
-def act(sim, steps: int, seed: int = 1, hold: int = 24, look=lambda sim: None, chunk: int = 1) -> list:
-    """Step under random actions, new ones every ``hold`` steps; return what ``look`` finds after every ``chunk``."""
-    rng, out = np.random.default_rng(seed), []
-    for _ in range(steps // hold):
-        sim.target.copy_(torch.as_tensor(rng.uniform(-1, 1, tuple(sim.target.shape)) * ARM.velocity_limit))
-        for _ in range(hold // chunk):
-            sim.step(chunk)
-            out.append(look(sim))
-    return out
-
-
-def bits(sim) -> list[np.ndarray]:
-    """All that a step leaves behind, in the order of worlds."""
-    found = [sim.q, sim.qd, sim.torque, sim.arm_force, sim.branch_force, sim.depth, sim.end_position]
-    return [v.numpy().copy() for v in found] + [np.concatenate(sim.state.qpos()), np.concatenate(sim.state.qvel())]
-
-
-def same(a: list[np.ndarray], b: list[np.ndarray]) -> None:
-    for x, y in zip(a, b, strict=True):
-        np.testing.assert_array_equal(x, y)
 
 
 def test_lanes_change_no_bit():

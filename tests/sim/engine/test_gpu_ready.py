@@ -16,7 +16,7 @@ import torch
 import warp as wp
 from bough.kernels.contact.look import capsule_kernel
 from bough.kernels.contact.reset_arm import reset_arm_kernel
-from bough.kernels.contact.step import contact_step_kernel
+from bough.kernels.contact.step import StepParts, contact_step_parts
 from bough.kernels.tree.exchange import exchange_kernels
 from bough.kernels.tree.rollout import rollout_kernels
 from bough.sim.engine.forest_effects import forest_terms
@@ -105,18 +105,17 @@ def test_kernels_compile_for_a_gpu(kernel, tmp_path):
     assert binary.read_bytes()[:4] == b"\x7fELF"
 
 
-def contact_with_laws(width: int, dof: int):
-    """Return contact's step with a law of every kind."""
-    return contact_step_kernel(width, dof, forest_terms(("plastic_set", "steady_wind", "tip_mass"))[0])
+LAWS = forest_terms(("plastic_set", "steady_wind", "tip_mass"))[0]  # a law of every kind
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp for macOS is built without CUDA")
-@pytest.mark.parametrize(
-    "make", [contact_step_kernel, contact_with_laws, capsule_kernel, lambda _, dof: reset_arm_kernel(dof)]
-)
+@pytest.mark.parametrize("make", [
+    *(lambda name=name: getattr(contact_step_parts(6), name) for name in StepParts._fields),
+    lambda: contact_step_parts(6, LAWS).approach, lambda: capsule_kernel(1, 6), lambda: reset_arm_kernel(6),
+])  # fmt: skip
 def test_kernels_of_the_arm_compile_for_a_gpu(make, tmp_path):
     """Compile contact's step for sm_90; it computes in float32 only, lengths of steps and world's clocks apart."""
-    (file,) = wp.compile_aot_module(make(1, 6).module, arch=90, module_dir=tmp_path, use_ptx=True)
+    (file,) = wp.compile_aot_module(make().module, arch=90, module_dir=tmp_path, use_ptx=True)
     text = file.read_text()
     assert ".target sm_90" in text
     assert len(re.findall(r"(?:mul|fma|div|sqrt)\S*\.f64", text)) < 8
@@ -132,6 +131,7 @@ def test_the_gpu_benchmark_runs_on_a_cpu(tmp_path):
     assert len(report["checks"]) == 6 and all(check["ok"] for check in report["checks"].values())
     assert list(report["arm"]) == [
         "arm, steps",
+        "arm, contact",
         "arm, copies",
         "arm, planning",
         "arm, shares",
