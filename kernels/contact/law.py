@@ -96,8 +96,8 @@ def _space_struct(t: SimpleNamespace) -> Any:
     parent's), with one world's D, U, r, k in all lanes; what direction d = 3 contact + axis yields to the unit forces
     of all directions, ``width`` a real: [rows, 3 contacts x turns], turns = ceil(3 contacts / width) of that world; the
     arm's share [rows, dof x turns]; [rows, contacts]; and the matrix of Newton's method. What a unit force does, ``n``,
-    ``f``, ``alpha``, ``accel``, has a row for each thread of a team that solves a world, and ``gate`` is where they wait
-    for each other (`team.meet`).
+    ``f``, ``alpha``, ``accel``, has a row for each thread of a team that solves a world, and ``gate`` is where they
+    wait for each other (`team.meet`).
     """
     Real, Vec, Sym, Mat = t.Real, t.Vec, t.Sym, t.Mat
 

@@ -187,10 +187,11 @@ def grip_of(grip: wp.array2d(dtype=wp.float64), j: int, c: int, like: Any):
 
 
 @wp.func
-def slid(e: int, at: Slots, fx: Any, force: Any, grip: wp.array2d(dtype=wp.float64), j: int, h: Any):
-    """Advance how far the grip has slid [m]: rate = a (n x + (1 - n) 1 N) towards the tip, inside the segment.
+def slid(e: int, at: Slots, fx: Any, force: Any, axis: Any, grip: wp.array2d(dtype=wp.float64), j: int, h: Any):
+    """Advance how far the grip has slid [m]: rate = a (n x + (1 - n) 1 N) sgn p towards the tip, inside the segment.
 
-    It slides while the excess x = |F| - b - c F_peak is positive; F_peak is the largest force of the recording.
+    The pull is p = (1 - s) |F| + s F_axis: the whole force's size, always towards one end, or its part along the segment.
+    It slides while the excess x = |p| - b - c F_peak is positive; F_peak is the largest force of the recording.
     """
     first = at.slip * PARAMETERS * fx.stride
     a = fx.parameter[e, first]
@@ -199,8 +200,11 @@ def slid(e: int, at: Slots, fx: Any, force: Any, grip: wp.array2d(dtype=wp.float
     o = real(0.0, a)
     one = real(1.0, o)
     bear = fma(fx.parameter[e, first + 2 * fx.stride], real(grip[j, PEAK], o), fx.parameter[e, first + fx.stride])
-    excess = norm(force) - bear
+    size = norm(force)
+    pull = fma(fx.parameter[e, first + 4 * fx.stride], dot(force, axis) - size, size)
+    excess = where_neg(pull, o - pull, pull) - bear
     rate = where_neg(excess, o, a * fma(share, excess, one - share))
+    rate = where_neg(pull, o - rate, rate)
     new = fma(rate, h, z.x)
     bottom = real(grip[j, DOWN], o)
     top = real(grip[j, UP], o)
@@ -366,7 +370,8 @@ def replay_samples(
                     force = acting(e, fx, at.delay, input_in, now, n, ends, rate, s.pose[row, place], like, law)
                     u.force[e, place] = force
                     if is_on(e, at.slip, fx):
-                        far = slid(e, at, fx, force, grip, j, real(h, nominal.x))
+                        axis = rotate(s.pose[row, place], along)
+                        far = slid(e, at, fx, force, axis, grip, j, real(h, nominal.x))
                         u.point[e, place] = add_scaled(nominal, along, far)
                 since = wp.float64(k * substeps + step) * h
                 advance(e, row, m, x, u, fx, s, h, begin + since, bound, MOVING)

@@ -140,10 +140,11 @@ def law_types(width: int, precision: int) -> SimpleNamespace:
 
     @wp.struct
     class JointState:
-        """What a law at a joint sees."""
+        """What a law at a joint sees; ``preload`` is the torque that holds the weight in the spring's rest pose."""
 
         angle: Vec
         rate: Vec
+        preload: Vec
         stiffness: Real
         time: Real
         step: Real
@@ -402,7 +403,7 @@ def is_on(e: int, place: int, fx: Any):
 
 
 @wp.func
-def joint_state(kind: int, q: Any, w: Any, stiffness: Any, time: Any, h: wp.float64, like: Any):
+def joint_state(kind: int, q: Any, w: Any, preload: Any, stiffness: Any, time: Any, h: wp.float64, like: Any):
     """Angle, rate and spring of a joint as laws see them."""
     o = real(0.0, time)
     angle = type(w)(q.x, o, o)
@@ -410,7 +411,7 @@ def joint_state(kind: int, q: Any, w: Any, stiffness: Any, time: Any, h: wp.floa
     if kind == SPHERICAL:
         angle = type(w)(q.x, q.y, q.z) * half_angle_log(q)
         rate = w
-    return type(like)(angle, rate, stiffness, time, real(h, o))
+    return type(like)(angle, rate, preload, stiffness, time, real(h, o))
 
 
 def strain_of(law: Any, types: SimpleNamespace, key: str) -> Any:
@@ -421,8 +422,8 @@ def strain_of(law: Any, types: SimpleNamespace, key: str) -> Any:
         w = x.velocity[e, i]
         o = real(0.0, time)
         zero = type(w)(o, o, o)
-        like = JointState(w, w, o, o, o)
-        j = joint_state(m.kind[e, i], x.coordinate[e, i], w, m.stiffness[e, i], time, h, like)
+        like = JointState(w, w, w, o, o, o)
+        j = joint_state(m.kind[e, i], x.coordinate[e, i], w, m.preload[e, i], m.stiffness[e, i], time, h, like)
         return law(e, i, fx, j, Response(zero, zero, o, o))
 
     return wp.func(strain, name=f"strain_{key}")

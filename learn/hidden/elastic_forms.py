@@ -78,7 +78,7 @@ class Set(Law):
 
 @dataclass
 class Damage(Law):
-    """A spring that loses a share of K which grows with what it has been through; the pre-load stays.
+    """A spring that loses a share of K which grows with what it has been through; the pre-load stays, or goes with it.
 
     Attributes:
         joint: Segment whose lower joint it is.
@@ -86,6 +86,7 @@ class Damage(Law):
         limit: Angle from which on there is damage [rad].
         lost: Share of K that is lost after the largest angle so far, or, with ``worn``, after a turn beyond the limit.
         worn: Whether every turn beyond the limit counts.
+        sags: Whether as much of the pre-load is lost.
     """
 
     joint: int
@@ -93,6 +94,7 @@ class Damage(Law):
     limit: float
     lost: Callable[[float], float]
     worn: bool = False
+    sags: bool = False
     lasting = True
     state: float = 0.0
     _last: float = 0.0
@@ -106,7 +108,8 @@ class Damage(Law):
             self._last = size
         else:
             self.state = max(self.state, size)
-        now.twist(self.joint, self.lost(self.state) * self.stiffness * angle)
+        gone = self.stiffness * angle - (now.preload(self.joint) if self.sags else 0.0)
+        now.twist(self.joint, self.lost(self.state) * gone)
 
 
 def _sign(rng: Random, plus: float = 0.5) -> float:
@@ -379,8 +382,9 @@ def norton(rng: Random, scale: Scale, joint: int) -> Draft:
 
 
 def _breaking(
-    rng: Random, scale: Scale, joint: int, lost: Callable[[float, float], float], worn: bool = False
-) -> Draft:
+    rng: Random, scale: Scale, joint: int, lost: Callable[[float, float], float], *, worn: bool = False,
+    sags: bool = False,
+) -> Draft:  # fmt: skip
     """Draw damage beyond a limit; ``lost`` is of the angle over the limit, the strength the most that can be lost."""
     k, a = _at(scale, joint)
     limit = float(rng.uniform(0.4, 0.7)) * a
@@ -389,7 +393,7 @@ def _breaking(
         def share(state: float) -> float:
             return strength * lost(state / limit, limit / a)
 
-        return Part({"share": strength, "limit_rad": limit}, joint, lambda: Damage(joint, k, limit, share, worn))
+        return Part({"share": strength, "limit_rad": limit}, joint, lambda: Damage(joint, k, limit, share, worn, sags))
 
     return Draft(make, 0.02, 0.35, 0.9)
 
@@ -412,6 +416,11 @@ def fatigue(rng: Random, scale: Scale, joint: int) -> Draft:
     return _breaking(rng, scale, joint, lambda x, part: -np.expm1(-x * part / cycles), worn=True)
 
 
+def sagging(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw fibres that part at once and no longer carry their share of the weight."""
+    return _breaking(rng, scale, joint, lambda x, _: float(x > 1), sags=True)
+
+
 FORMS = {
     "cubic_stiffness": {"exponential": exponential, "softening": softening, "quintic": quintic, "radial": radial},
     "bilinear_stiffness": {"smooth_corner": smooth_corner, "quadratic": quadratic, "late_corner": late_corner},
@@ -419,5 +428,5 @@ FORMS = {
     "anisotropic_stiffness": {"section": section, "orthotropic": orthotropic, "turning_axes": turning_axes},
     "bending_torsion_coupling": {"quadratic": quadratic_coupling, "saturating": saturating_coupling},
     "plastic_set": {"voce": voce, "chaboche": chaboche, "norton": norton},
-    "partial_rupture": {"stepwise": stepwise, "gradual": gradual, "fatigue": fatigue},
+    "partial_rupture": {"stepwise": stepwise, "gradual": gradual, "fatigue": fatigue, "sagging": sagging},
 }

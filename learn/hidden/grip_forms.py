@@ -144,6 +144,17 @@ def rubbing(rng: Random, scale: Scale, joint: int) -> Draft:
     return _slide(scale, rate, _way(rng), limit_N=limit, weight=weight)
 
 
+def dragged(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a grip that slides where the force along the segment points, as fast as that exceeds a limit."""
+    limit = float(rng.uniform(0.05, 0.2)) * scale.force
+
+    def rate(force: Array, axis: Array) -> Array:
+        along = (force * axis).sum(axis=1)
+        return np.asarray(np.sign(along) * np.maximum(0.0, np.abs(along) - limit))
+
+    return _slide(scale, rate, 1.0, limit_N=limit)
+
+
 # ---- force_bias, force_scale, time_delay, gravity_comp_error -------------------------------------------------------
 
 
@@ -269,7 +280,7 @@ def late_pose(rng: Random, scale: Scale, joint: int) -> Draft:
 FORMS = {
     "base_compliance": {"deep": deep, "bending": bending, "damped": damped},
     "tip_mass": {"off_axis": off_axis, "twig": twig},
-    "grasp_slip": {"threshold": threshold, "creeping": creeping, "rubbing": rubbing},
+    "grasp_slip": {"threshold": threshold, "creeping": creeping, "rubbing": rubbing, "dragged": dragged},
     "force_bias": {"warming": warming, "rezeroed": rezeroed},
     "force_scale": {"per_axis": per_axis, "curved": curved},
     "time_delay": {"low_pass": low_pass, "unsteady": unsteady},

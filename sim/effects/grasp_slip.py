@@ -1,6 +1,17 @@
 """A gripper that slides along the segment."""
 
-from .registry import Effect, EffectParameter, Law, register
+from collections.abc import Sequence
+from itertools import product
+
+from .registry import Effect, EffectParameter, Law, Setting, register
+
+
+def _pulled_along(s: Setting) -> Sequence[tuple[float, ...]]:
+    """Grips that slide where the force along the segment points."""
+    unit = s.length / (s.force * s.duration)
+    ways, least = [m * unit for m in (0.2, 2.0, 20.0)], [b * s.force for b in (0.05, 0.12, 0.3)]
+    return list(product(ways, least, [0.0], [1.0], [1.0]))
+
 
 EFFECT = register(
     Effect(
@@ -8,8 +19,9 @@ EFFECT = register(
         plain="a grip that slides",
         summary="beyond a least force, part of which may be a share of the recording's largest one, the grip slides"
         " along the segment, towards its tip at a rate of mobility times the excess (towards the base where negative),"
-        " or, as far as it is not viscous, at the rate of 1 N of excess; inside the segment's ends; it holds the marked"
-        " point again in the next recording",
+        " or, as far as it is not viscous, at the rate of 1 N of excess; as far as it is axial, only the force along the"
+        " segment counts, and it slides where that points; inside the segment's ends; it holds the marked point again in"
+        " the next recording",
         source="Bingham 1922 (yield, then viscous flow); Coulomb 1785 (force that does not grow with the rate);"
         " displacement is that of the point that is held",
         signature="displacement drifts along the segment while the force is held, and stays away after the release",
@@ -31,7 +43,9 @@ EFFECT = register(
                 EffectParameter("least_N", "N", lambda s: 0.02 * s.force, lambda s: s.force, scale="log", tries=4),
                 EffectParameter("least_share", "1", 0.0, 0.9, tries=lambda s: [0.0, 0.4], optional=True),
                 EffectParameter("viscous", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0, 0.0], optional=True),
+                EffectParameter("axial", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True),
             ),
+            further=_pulled_along,
             per_joint=False,
             memory=1,
         ),

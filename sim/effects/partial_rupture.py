@@ -14,22 +14,24 @@ BREAKING = wp.constant(wp.float64(0.05))
 
 @wp.func
 def partial_rupture(j: Any, p: Any, r: Any):
-    """tau = +s K phi after the moment t0, rising over 0.05 s."""
+    """tau = +s (K phi - c P) after the moment t0, rising over 0.05 s; P is the preload that carries the weight."""
     o = real(0.0, p.a)
     one = real(1.0, o)
     x = (j.time - p.b) / real(BREAKING, o)
     x = where_neg(x, o, x)
     x = where_neg(one - x, one, x)
-    return type(r)(j.angle * (p.a * x * j.stiffness), r.memory, o, o)
+    gone = j.angle * (p.a * x * j.stiffness) - j.preload * (p.a * x * p.c)
+    return type(r)(gone, r.memory, o, o)
 
 
 EFFECT = register(
     Effect(
         name="partial_rupture",
         plain="a partial break (it is softer from one moment on)",
-        summary="from a moment on the absolute clock on, the spring has lost a share s of its stiffness for good",
+        summary="from a moment on the absolute clock on, the spring has lost a share s of its stiffness for good, and as"
+        " much of the preload that carries the branch's weight, or the share c of that, so that the branch sags",
         source="Kachanov 1958 (damage as a share of the stiffness); Lemaitre, A Course on Damage Mechanics (1996), 1.2",
-        signature="replicates before and after a moment differ; after it everything is softer",
+        signature="replicates before and after a moment differ; after it everything is softer, and may hang lower",
         mistaken_for=("plastic_set", "tip_mass"),
         probe="the first push again at the end",
         branch=Law(
@@ -44,8 +46,10 @@ EFFECT = register(
                     tries=lambda s: s.moments,
                     reach=lambda s: 0.25 * s.duration,
                 ),
+                EffectParameter("preload", "1", 0.0, 1.0, tries=1, optional=True),
             ),
             partial_rupture,
+            settles=True,
             moment="moment_s",
         ),
     )

@@ -136,6 +136,7 @@ class Law:
         mirror: Of values of the parameters other ones, and by what the joint's spring is to be multiplied: the same
             motion in the plane in which the law acts, and another motion across it. A search that has ended on the
             wrong side is led to the other; None where there is none.
+        further: Values of all parameters at which a search looks beside what it tries of each with each.
         moment: Name of the parameter that is the moment on the clock at which the effect happens, once and for good;
             empty where it has none.
     """
@@ -151,6 +152,7 @@ class Law:
     active: bool = False
     holds: Any = None
     mirror: Callable[[Sequence[float]], tuple[Sequence[float], float]] | None = None
+    further: Callable[[Setting], Sequence[tuple[float, ...]]] | None = None
     moment: str = ""
 
 

@@ -86,19 +86,19 @@ def simulate(case, stiffness, damping, *, start=None, chosen=None, form="joint",
     return rollout(torch.tensor([values], dtype=torch.float64), first)[0].double().numpy().copy()
 
 
-def resting(branch, spring, force, *, point=0.4, seen=0.4, more=None):
+def resting(branch, spring, force, *, point=0.4, seen=0.4, more=None, lost=0.0):
     """Return the displacement [3] from the grasp point where a stick rests, by a root of the moments about its base.
 
     ``spring(phi)`` is the torque of the joint in the stick's frame, ``force(R)`` what acts at ``point`` [m] along it
     (world axes, R from rest to now), ``more(R)`` a further moment about the base (world axes); ``seen`` [m] is the
-    point whose displacement is wanted. Weight counts, and the pre-load holds the rest pose.
+    point whose displacement is wanted. Weight counts, and the pre-load holds the rest pose, less a share ``lost``.
     """
     axis, across = branch.axis[0], np.array([-np.sin(branch.azimuth[0]), np.cos(branch.azimuth[0]), 0.0])
     rest = Rotation.from_matrix(np.column_stack([np.cross(across, axis), across, axis]))
     a, b = branch.radius[0]
     com = axis * branch.length[0] * (a * a + 2 * a * b + 3 * b * b) / (4 * (a * a + a * b + b * b))
     weight = np.array([0.0, 0.0, -branch.gravity * branch.mass[0]])
-    preload = rest.inv().apply(-np.cross(com, weight))
+    preload = (1.0 - lost) * rest.inv().apply(-np.cross(com, weight))
 
     def moment(phi):
         turn = rest * Rotation.from_rotvec(phi) * rest.inv()  # R of the world vectors

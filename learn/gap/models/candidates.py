@@ -31,12 +31,17 @@ class Candidate:
     Attributes:
         acting: Which effect and where.
         columns: Indices of its parameters among all parameters.
-        specs: Their entries in the registry.
+        law: How the effect acts in this form of case.
     """
 
     acting: Acting
     columns: tuple[int, ...]
-    specs: tuple[EffectParameter, ...]
+    law: Law
+
+    @property
+    def specs(self) -> tuple[EffectParameter, ...]:
+        """Entries of its parameters in the registry."""
+        return self.law.parameters
 
     @property
     def name(self) -> str:
@@ -118,8 +123,8 @@ def probes_of(index: int, candidate: Candidate, parameters: Sequence[Parameter],
     """Return the points at which a candidate is tested.
 
     An effect whose first parameter passes through its neutral value is linearised about it, in all such parameters;
-    otherwise the effect itself is simulated. The other parameters take the values of a grid. Empty for effects with a
-    frequency, for which see `frequencies`.
+    otherwise the effect itself is simulated. The other parameters take the values of a grid, and the law's `Law.further`.
+    Empty for effects with a frequency, for which see `frequencies`.
     """
     if any(s.unit == "Hz" for s in candidate.specs):
         return []
@@ -129,7 +134,8 @@ def probes_of(index: int, candidate: Candidate, parameters: Sequence[Parameter],
         [s.neutral] if on else grid(s, p, setting)
         for s, p, on in zip(candidate.specs, parameters, through, strict=True)
     ]
-    return [Probe(index, values, moved) for values in product(*grids)]
+    further = candidate.law.further(setting) if candidate.law.further else ()
+    return [Probe(index, values, moved) for values in (*product(*grids), *further)]
 
 
 def passes_neutral(spec: EffectParameter, parameter: Parameter) -> bool:

@@ -170,9 +170,9 @@ class Contest:
         out: list[Candidate] = []
         column = self.num_base
         for acting in system.acting.acting:
-            specs = system.acting.laws[acting.name].parameters
-            out.append(Candidate(acting, tuple(range(column, column + len(specs))), specs))
-            column += len(specs)
+            law = system.acting.laws[acting.name]
+            out.append(Candidate(acting, tuple(range(column, column + len(law.parameters))), law))
+            column += len(law.parameters)
         off = [spec.neutral for candidate in out for spec in candidate.specs]
         neutral = [p.typical or 1.0 for p in self.parameters[: self.num_base]] + off
         self.neutral = torch.tensor(neutral, dtype=torch.float64, device=self.place)

@@ -390,15 +390,21 @@ def test_force_bias_needs_contact(tmp_path):
     assert np.abs(out[-1, :3]).max() < 1e-3
 
 
-def test_rupture_softens_later_recordings(tmp_path):
-    """Rest as with K before the moment and as with (1 - s) K after it, in the same and in the next recording."""
+@pytest.mark.parametrize("preload", [0.0, 1.0])
+def test_rupture_softens_later_recordings(tmp_path, preload):
+    """Rest as with K before the moment and as with (1 - s) K after it, in the same and in the next recording.
+
+    With the preload goes what carries the weight: the branch hangs lower from then on, before the next push, too.
+    """
     case, s = stick_case(tmp_path / "c", [held(), held(), held()]), 0.4
-    out = stick(case, partial_rupture={"share": s, "moment_s": 22.0})
+    out = stick(case, partial_rupture={"share": s, "moment_s": 22.0, "preload": preload})
     whole = resting(case, lambda phi: -KS * phi, lambda R: FORCE)
-    broken = resting(case, lambda phi: -KS * (1 - s) * phi, lambda R: FORCE)
+    sag, broken = (resting(case, lambda phi: -KS * (1 - s) * phi, lambda R, f=f: f, lost=s * preload)
+                   for f in (np.zeros(3), FORCE))  # fmt: skip
     at = np.argmin(abs(case.trajectories[0].t - 1.95))
-    for run, k, expected in ((0, -1, whole), (1, at, whole), (1, -1, broken), (2, -1, broken)):
+    for run, k, expected in ((0, -1, whole), (1, at, whole), (1, -1, broken), (2, 0, sag), (2, -1, broken)):
         np.testing.assert_allclose(out[run, k, :3], expected, atol=5e-4)
+    assert (np.linalg.norm(sag) > 2e-3) == bool(preload)
 
 
 @pytest.mark.parametrize(("mobility", "end"), [(1.0, 0.5), (-1.0, 0.0)])
@@ -452,6 +458,27 @@ def test_grasp_slip_at_a_rate_that_the_force_does_not_raise(tmp_path):
             expected = resting(case, lambda phi: -KS * phi, lambda R, f=size * FORCE: f, point=at, seen=at)
             # a step late at the threshold, and 20 ms behind its rest
             np.testing.assert_allclose(run[k, :3], expected, atol=0.025 * abs(mobility) + 0.02 * abs(mobility))
+
+
+def test_grasp_slip_follows_the_force_along_the_segment(tmp_path):
+    """Slide by the integral of mobility (|F_axis| - least) where the force along the stick points, out and back.
+
+    The stick is so stiff that its axis stays: it leans by F r / K = 1.6 mrad.
+    """
+    mobility, least, along = 0.01, 0.5, 2.0
+    case = stick_case(tmp_path / "c", [held(200) * 0.0], elevation=90.0, azimuth=0.0, gravity=0.0)
+    swing = np.sin(2 * np.pi * np.arange(200) / 100)[:, None]
+    forces = [along * swing * case.axis[0], 3.0 * held(200) / np.linalg.norm(FORCE) * [1.0, 1.0, 0.0]]
+    case = stick_case(tmp_path / "d", forces, elevation=90.0, azimuth=0.0, gravity=0.0)
+    on = {"mobility_mpNs": mobility, "least_N": least, "least_share": 0.0, "viscous": 1.0, "axial": 1.0}
+    out = stick(case, grasp_slip=on)
+    pull = along * np.sin(2 * np.pi * np.linspace(0.0, 3.98, 20000) / 2.0)
+    rate = mobility * np.sign(pull) * np.maximum(np.abs(pull) - least, 0.0)
+    way = np.interp(case.trajectories[0].t, np.linspace(0.0, 3.98, 20000), np.cumsum(rate) * 3.98 / 20000)
+    # forces are held for a sample of 20 ms: a fiftieth of the largest rate for as long
+    np.testing.assert_allclose(out[0, :, :3] @ case.axis[0], way, atol=0.02 * mobility * along)
+    assert way.max() > 20 * 0.02 * mobility * along
+    assert (out[1] == stick(case)[1]).all()  # across the stick it holds
 
 
 def test_grasp_slip_needs_its_least_force(tmp_path):

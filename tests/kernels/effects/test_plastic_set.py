@@ -19,7 +19,7 @@ def turn(path_in: wp.array(dtype=wp.vec3), s: float, y: float, i: float, m: floa
     """Turn a joint of unit stiffness along a path and write the law's torque."""
     none, b, c = Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0)
     for k in range(path_in.shape[0]):
-        j = JointState(Vec(path_in[k][0], path_in[k][1], path_in[k][2]), none, 1.0, 0.0, 0.0)
+        j = JointState(Vec(path_in[k][0], path_in[k][1], path_in[k][2]), none, none, 1.0, 0.0, 0.0)
         r = LAW(j, Parameters(s, y, i, m, 0.0, 0.0), LongResponse(none, b, c, 0.0, 0.0))
         b = r.memory
         c = r.second

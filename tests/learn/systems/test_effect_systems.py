@@ -9,6 +9,8 @@ import torch
 from bough.learn.cases.case import load_case
 from bough.learn.hidden.branch import Branch
 from bough.learn.hidden.drive import drive
+from bough.learn.hidden.elastic_forms import Damage
+from bough.learn.hidden.grip_forms import Slide
 from bough.learn.hidden.parts import Part
 from bough.learn.hidden.world_laws import Slip
 from bough.learn.inference.fit import find_modes
@@ -106,6 +108,42 @@ def test_base_compliance_equals_a_chain_of_two(tmp_path, twist):
     assert np.abs(ours - plain).max() > 0.1 * np.abs(plain).max()
 
 
+def along(force, axis):
+    """Return the excess over 0.2 N of the force along a segment, with its sign."""
+    pull = (force * axis).sum(axis=1)
+    return np.sign(pull) * np.maximum(0.0, np.abs(pull) - 0.2)
+
+
+def test_a_dragged_grip_is_the_hidden_simulators(tmp_path):
+    """Slide where the force along the segment points as MuJoCo does with such a grip, in both directions."""
+    mobility, swing = 0.03, np.sin(np.arange(100) / 6.0)[:, None]
+    force = push(2.5, 100) * swing
+    case = stick_case(tmp_path / "c", [force])
+    rod = Branch([0.5], [0.012], [0.010], [35.0], [20.0], [KS], [DS], 800.0, 0.4, 9.81, ["stick"])
+    law = Part({}, law=lambda: Slide(mobility, 0.0, 0.0, (0.4, 0.1), along))
+    wanted, held = (drive(rod, force[None], 1 / DT, parts=parts, wood=0.0, dt=5e-4) for parts in ([law], []))
+    slips = {"mobility_mpNs": mobility, "least_N": 0.2, "least_share": 0.0, "viscous": 1.0, "axial": 1.0}
+    ours, plain = (simulate(case, KS, DS, form="branch", without=("base_compliance",), **on)[0]
+                   for on in ({"grasp_slip": slips}, {}))  # fmt: skip
+    way = (wanted.moved - held.moved)[0]
+    assert way[:, 2].min() < -2e-3 and way[:, 2].max() > 2e-3
+    close((ours - plain)[:, :3], way)
+    close((ours - plain)[:, 3:], (wanted.velocity - held.velocity)[0])
+
+
+def test_a_rupture_with_its_preload_is_the_hidden_simulators(tmp_path):
+    """Break at the first touch and sag as MuJoCo does with such a spring; the rise of 0.05 s is over by then."""
+    share, force = 0.4, push(1.5)
+    case = stick_case(tmp_path / "c", [force])
+    rod = Branch([0.5], [0.012], [0.010], [35.0], [20.0], [KS], [DS], 800.0, 0.4, 9.81, ["stick"])
+    law = Part({}, 0, lambda: Damage(0, KS, 1e-9, lambda _: share, sags=True))
+    wanted = drive(rod, force[None], 1 / DT, parts=[law], wood=0.0, dt=5e-4).moved[0]
+    broken = {"share": share, "moment_s": float(case.trajectories[0].t[0]) - 0.05, "preload": 1.0}
+    ours = simulate(case, KS, DS, form="branch", without=("base_compliance",), partial_rupture=broken)[0]
+    assert np.linalg.norm(wanted[-1]) > 2e-3
+    np.testing.assert_allclose(ours[-1, :3], wanted[-1], atol=1e-4)
+
+
 @pytest.mark.parametrize("mobility", [0.012, -0.05])
 def test_grasp_slip_is_the_hidden_simulators(tmp_path, mobility):
     """Change displacement and velocity of the point that is held as MuJoCo does with a grip that slides."""
@@ -149,8 +187,8 @@ BRANCH_TRUTH = {
     "base_compliance": (0.02, 0.1, 0.02, 0.3),
     "backlash": (0.03, 0.5, 0.1),
     "plastic_set": (0.4, 0.1, 0.6, 0.5),
-    "partial_rupture": (0.4, 20.9),
-    "grasp_slip": (-0.05, 0.5, 0.2, 1.0),
+    "partial_rupture": (0.4, 20.9, 0.5),
+    "grasp_slip": (-0.05, 0.5, 0.2, 1.0, 0.3),
     "force_bias": (0.2, -0.3, 0.25),
     "force_scale": (1.3,),
     "time_delay": (0.03,),
