@@ -20,15 +20,15 @@ def lacking(square: Any, gap: Any, e: Any):
 
 @wp.func
 def backlash(j: Any, p: Any, r: Any):
-    """tau = +K phi min(1, g / |phi|), rounded: of the spring -K (phi - g phi / |phi|) is left, 0 inside the gap."""
+    """tau = +(1 - s) K phi min(1, g / |phi|), rounded: the spring has s K inside the gap and K beyond it."""
     o = real(0.0, p.a)
-    share = lacking(dot(j.angle, j.angle), p.a, p.b)
+    share = lacking(dot(j.angle, j.angle), p.a, p.b) * (real(1.0, o) - p.c)
     return type(r)(j.angle * (j.stiffness * share), r.memory, o, o)
 
 
 @wp.func
 def backlash_ball(j: Any, p: Any, r: Any):
-    """tau_k = +K phi_k ((1 - m) min(1, g / |phi|) + m min(1, g / |phi_k|)), rounded: one gap, or one an axis.
+    """tau_k = +(1 - s) K phi_k ((1 - m) min(1, g / |phi|) + m min(1, g / |phi_k|)), rounded: one gap, or one an axis.
 
     Either is the gradient of an energy, so what is between gives none.
     """
@@ -41,25 +41,26 @@ def backlash_ball(j: Any, p: Any, r: Any):
         a.y * fma(own, lacking(a.y * a.y, p.a, p.c), joint),
         a.z * fma(own, lacking(a.z * a.z, p.a, p.c), joint),
     )
-    return type(r)(torque * j.stiffness, r.memory, o, o)
+    return type(r)(torque * (j.stiffness * (real(1.0, o) - p.d)), r.memory, o, o)
 
 
 _GAP = EffectParameter("gap_rad", "rad", lambda s: 0.005 * s.angle, lambda s: 0.8 * s.angle, scale="log")
 _SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=1)
 _ROUNDING = EffectParameter("rounding", "1", 0.0, 0.3, tries=1, optional=True)
+_LEFT = EffectParameter("left", "1", 0.0, 0.8, tries=lambda s: [0.0], optional=True)
 
 EFFECT = register(
     Effect(
         name="backlash",
         plain="play",
-        summary="no spring within an angle g of rest, where the pre-load alone holds the joint; beyond, -K (|phi| - g),"
-        " the corner rounded where the edges of the gap are not hard; at a ball joint the gap is round, or square where"
-        " each axis of the segment plays by itself, or between",
+        summary="within an angle g of rest no spring, or the share s of it that is left there, beside the pre-load;"
+        " beyond, -K (|phi| - (1 - s) g), the corner rounded where the edges of the gap are not hard; at a ball joint the"
+        " gap is round, or square where each axis of the segment plays by itself, or between",
         source="Nordin & Gutman 2002, Automatica 38:1633, section 2 (dead zone)",
         signature="loose about rest and stiff beyond it; slow last swings",
         mistaken_for=("cubic_stiffness", "bilinear_stiffness"),
         probe="small pushes about rest beside large ones",
-        branch=Law("joint", (_GAP, _SEPARATE, _ROUNDING), backlash_ball),
-        joint=Law("joint", (_GAP, _ROUNDING), backlash),
+        branch=Law("joint", (_GAP, _SEPARATE, _ROUNDING, _LEFT), backlash_ball),
+        joint=Law("joint", (_GAP, _ROUNDING, _LEFT), backlash),
     )
 )

@@ -182,6 +182,19 @@ def test_backlash_with_worn_edges(tmp_path, rounding):
         assert K * phi * (1 - share) == pytest.approx(moment, rel=0.01)
 
 
+def test_backlash_with_a_soft_gap(tmp_path):
+    """Settle where s K phi = M inside the gap and K (phi - (1 - s) g) = M beyond it."""
+    gap, left, moments = 0.3, 0.2, np.array([2.0, 4.0, 16.0])
+    case = swing_case(tmp_path / "c", [(0.0, 0.0)], duration=24.0,
+                      torque=lambda t: moments[np.minimum(t / 8.0, 2.0).astype(int)])  # fmt: skip
+    out = simulate(case, K, 8.0, start=[0, 0], backlash={"gap_rad": gap, "left": left})[0]
+    t = case.trajectories[0].t
+    found = [out[np.argmax(t > 8.0 * k + 7.9), 0] for k in range(3)]
+    inside, beyond = moments / (left * K), moments / K + (1 - left) * gap
+    assert inside[0] < gap < beyond[2]
+    np.testing.assert_allclose(found, np.where(inside < gap, inside, beyond), rtol=0.01)
+
+
 def test_plastic_set_stays(tmp_path):
     """Push quasi-statically beyond the yield angle: phi (1 - s) = M / K - s y, and s (phi - y) stays."""
     s, y, M = 0.4, 0.1, 16.0

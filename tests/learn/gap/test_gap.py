@@ -230,7 +230,9 @@ def test_a_probe_narrows_an_interval_as_a_kalman_update_does(small):
 def field_of(chi2, base=3000.0, samples=1000):
     """Return a fitted in which models have the given squares: {members: chi2}."""
     names = ["dry_friction", "hysteresis_boucwen", "tip_mass"]
-    candidates = [Candidate(SimpleNamespace(name=n, label=n), (k,), SimpleNamespace(parameters=())) for k, n in enumerate(names)]
+    candidates = [
+        Candidate(SimpleNamespace(name=n, label=n), (k,), SimpleNamespace(parameters=())) for k, n in enumerate(names)
+    ]
     contest = SimpleNamespace(num_samples=samples, candidates=candidates, case=object.__new__(BranchCase))
 
     def model(members, value):
@@ -307,7 +309,9 @@ def test_two_breaks_are_not_claimed():
     for name, claimed in (("partial_rupture", False), ("dry_friction", True)):
         fitted = field_of({(0, 2): 1000})
         for k in (0, 2):
-            fitted.contest.candidates[k] = Candidate(SimpleNamespace(name=name, label=name), (k,), SimpleNamespace(parameters=()))
+            fitted.contest.candidates[k] = Candidate(
+                SimpleNamespace(name=name, label=name), (k,), SimpleNamespace(parameters=())
+            )
         assert known(fitted, fitted.models[0]) is claimed
 
 
