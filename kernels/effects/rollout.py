@@ -190,8 +190,8 @@ def grip_of(grip: wp.array2d(dtype=wp.float64), j: int, c: int, like: Any):
 def slid(e: int, at: Slots, fx: Any, force: Any, axis: Any, grip: wp.array2d(dtype=wp.float64), j: int, h: Any):
     """Advance how far the grip has slid [m]: rate = a (n x + (1 - n) 1 N) sgn p towards the tip, inside the segment.
 
-    The pull is p = (1 - s) |F| + s F_axis: the whole force's size, always towards one end, or its part along the segment.
-    It slides while the excess x = |p| - b - c F_peak is positive; F_peak is the largest force of the recording.
+    The pull is p = (1 - s) |F| + s F_axis: the whole force's size, always towards one end, or its part along the
+    segment. It slides while the excess x = |p| - b - c F_peak is positive, F_peak the recording's largest force.
     """
     first = at.slip * PARAMETERS * fx.stride
     a = fx.parameter[e, first]

@@ -57,7 +57,7 @@ class Now:
         self.torque[:, first : first + 3] += torque @ self.rig.frames[segment]
 
     def preload(self, segment: int) -> Array:
-        """Torque that holds the weight at a segment's joint in the calm pose, in the segment's frame [N m], shape [3]."""
+        """Torque that carries the weight at a segment's joint in the calm pose, in its frame [N m], shape [3]."""
         first = 3 * int(self.rig.joints[segment])
         return np.asarray(self.rig.frames[segment] @ self.rig.data.qfrc_bias[first : first + 3])
 

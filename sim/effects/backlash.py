@@ -54,8 +54,8 @@ EFFECT = register(
         name="backlash",
         plain="play",
         summary="within an angle g of rest no spring, or the share s of it that is left there, beside the pre-load;"
-        " beyond, -K (|phi| - (1 - s) g), the corner rounded where the edges of the gap are not hard; at a ball joint the"
-        " gap is round, or square where each axis of the segment plays by itself, or between",
+        " beyond, -K (|phi| - (1 - s) g), the corner rounded where the edges of the gap are not hard; at a ball joint"
+        " the gap is round, or square where each axis of the segment plays by itself, or between",
         source="Nordin & Gutman 2002, Automatica 38:1633, section 2 (dead zone)",
         signature="loose about rest and stiff beyond it; slow last swings",
         mistaken_for=("cubic_stiffness", "bilinear_stiffness"),

@@ -19,9 +19,9 @@ EFFECT = register(
         plain="a grip that slides",
         summary="beyond a least force, part of which may be a share of the recording's largest one, the grip slides"
         " along the segment, towards its tip at a rate of mobility times the excess (towards the base where negative),"
-        " or, as far as it is not viscous, at the rate of 1 N of excess; as far as it is axial, only the force along the"
-        " segment counts, and it slides where that points; inside the segment's ends; it holds the marked point again in"
-        " the next recording",
+        " or, as far as it is not viscous, at the rate of 1 N of excess; as far as it is axial, only the force along"
+        " the segment counts, and it slides where that points; inside the segment's ends; it holds the marked point"
+        " again in the next recording",
         source="Bingham 1922 (yield, then viscous flow); Coulomb 1785 (force that does not grow with the rate);"
         " displacement is that of the point that is held",
         signature="displacement drifts along the segment while the force is held, and stays away after the release",

@@ -28,8 +28,8 @@ EFFECT = register(
     Effect(
         name="partial_rupture",
         plain="a partial break (it is softer from one moment on)",
-        summary="from a moment on the absolute clock on, the spring has lost a share s of its stiffness for good, and as"
-        " much of the preload that carries the branch's weight, or the share c of that, so that the branch sags",
+        summary="from a moment on the absolute clock on, the spring has lost a share s of its stiffness for good, and"
+        " as much of the preload that carries the branch's weight, or the share c of that, so that the branch sags",
         source="Kachanov 1958 (damage as a share of the stiffness); Lemaitre, A Course on Damage Mechanics (1996), 1.2",
         signature="replicates before and after a moment differ; after it everything is softer, and may hang lower",
         mistaken_for=("plastic_set", "tip_mass"),

@@ -123,7 +123,7 @@ def probes_of(index: int, candidate: Candidate, parameters: Sequence[Parameter],
     """Return the points at which a candidate is tested.
 
     An effect whose first parameter passes through its neutral value is linearised about it, in all such parameters;
-    otherwise the effect itself is simulated. The other parameters take the values of a grid, and the law's `Law.further`.
+    otherwise the effect itself is simulated. The other parameters take the values of a grid, and `Law.further` ones.
     Empty for effects with a frequency, for which see `frequencies`.
     """
     if any(s.unit == "Hz" for s in candidate.specs):
