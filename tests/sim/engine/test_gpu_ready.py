@@ -112,7 +112,7 @@ LAWS = forest_terms(("plastic_set", "steady_wind", "tip_mass"))[0]  # a law of e
 @pytest.mark.parametrize("make", [
     *(lambda name=name: getattr(contact_step_parts(6), name) for name in StepParts._fields),
     lambda: contact_step_parts(6, LAWS).approach, lambda: capsule_kernel(1, 6), lambda: reset_arm_kernel(6),
-])  # fmt: skip
+], ids=[*(f"contact-{name}" for name in StepParts._fields), "contact-laws", "capsules", "reset"])  # fmt: skip
 def test_kernels_of_the_arm_compile_for_a_gpu(make, tmp_path):
     """Compile contact's step for sm_90; it computes in float32 only, lengths of steps and world's clocks apart."""
     (file,) = wp.compile_aot_module(make().module, arch=90, module_dir=tmp_path, use_ptx=True)
