@@ -257,10 +257,10 @@ def test_a_break_need_not_be_foreseen(branch):
     def models(size, seed):
         truth = activated(contest, contest.base_batch(1), [(scale, broken)])
         truth.free[0, contest.candidates[scale].columns[0]] = 0.1
-        share, when = contest.candidates[broken].columns
-        truth.free[0, share], truth.free[0, when] = math.log(size or 0.02), moment
+        share, when, preload = columns = list(contest.candidates[broken].columns)
+        truth.free[0, share], truth.free[0, when], truth.free[0, preload] = math.log(size or 0.02), moment, 1.0
         single = truth.copy()
-        single.active[:, [share, when]] = False
+        single.active[:, columns] = False
         held = truth if size else single
         clean = contest.simulate(contest.values(held), held.start)[0].double()
         noise = contest.sigma.cpu().numpy() * np.random.default_rng(seed).standard_normal(clean.shape)
