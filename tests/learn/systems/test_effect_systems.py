@@ -32,6 +32,8 @@ from oracles.mujoco_tree import compiled
 
 KS, DS = 20.0, 0.4
 N, DT = 120, 0.02
+#: The stick of `stick_case` for the hidden simulator.
+ROD = Branch([0.5], [0.012], [0.010], [35.0], [20.0], [KS], [DS], 800.0, 0.4, 9.81, ["stick"])
 
 
 def push(scale=1.0, n=N):
@@ -119,9 +121,8 @@ def test_a_dragged_grip_is_the_hidden_simulators(tmp_path):
     mobility, swing = 0.03, np.sin(np.arange(100) / 6.0)[:, None]
     force = push(2.5, 100) * swing
     case = stick_case(tmp_path / "c", [force])
-    rod = Branch([0.5], [0.012], [0.010], [35.0], [20.0], [KS], [DS], 800.0, 0.4, 9.81, ["stick"])
     law = Part({}, law=lambda: Slide(mobility, 0.0, 0.0, (0.4, 0.1), along))
-    wanted, held = (drive(rod, force[None], 1 / DT, parts=parts, wood=0.0, dt=5e-4) for parts in ([law], []))
+    wanted, held = (drive(ROD, force[None], 1 / DT, parts=parts, wood=0.0, dt=5e-4) for parts in ([law], []))
     slips = {"mobility_mpNs": mobility, "least_N": 0.2, "least_share": 0.0, "viscous": 1.0, "axial": 1.0}
     ours, plain = (simulate(case, KS, DS, form="branch", without=("base_compliance",), **on)[0]
                    for on in ({"grasp_slip": slips}, {}))  # fmt: skip
@@ -135,9 +136,8 @@ def test_a_rupture_with_its_preload_is_the_hidden_simulators(tmp_path):
     """Break at the first touch and sag as MuJoCo does with such a spring; the rise of 0.05 s is over by then."""
     share, force = 0.4, push(1.5)
     case = stick_case(tmp_path / "c", [force])
-    rod = Branch([0.5], [0.012], [0.010], [35.0], [20.0], [KS], [DS], 800.0, 0.4, 9.81, ["stick"])
     law = Part({}, 0, lambda: Damage(0, KS, 1e-9, lambda _: share, sags=True))
-    wanted = drive(rod, force[None], 1 / DT, parts=[law], wood=0.0, dt=5e-4).moved[0]
+    wanted = drive(ROD, force[None], 1 / DT, parts=[law], wood=0.0, dt=5e-4).moved[0]
     broken = {"share": share, "moment_s": float(case.trajectories[0].t[0]) - 0.05, "preload": 1.0}
     ours = simulate(case, KS, DS, form="branch", without=("base_compliance",), partial_rupture=broken)[0]
     assert np.linalg.norm(wanted[-1]) > 2e-3
@@ -148,9 +148,8 @@ def test_a_rupture_with_its_preload_is_the_hidden_simulators(tmp_path):
 def test_grasp_slip_is_the_hidden_simulators(tmp_path, mobility):
     """Change displacement and velocity of the point that is held as MuJoCo does with a grip that slides."""
     case, force, least = stick_case(tmp_path / "c", [push(1.5)]), push(1.5), 1.0
-    rod = Branch([0.5], [0.012], [0.010], [35.0], [20.0], [KS], [DS], 800.0, 0.4, 9.81, ["stick"])
     law = Part({}, law=lambda: Slip(mobility, least, 1e-6, (0.4, 0.1)))
-    wanted, held = (drive(rod, force[None], 1 / DT, parts=parts, wood=0.0, dt=5e-4) for parts in ([law], []))
+    wanted, held = (drive(ROD, force[None], 1 / DT, parts=parts, wood=0.0, dt=5e-4) for parts in ([law], []))
     slips = {"mobility_mpNs": mobility, "least_N": least}
     ours, plain = (simulate(case, KS, DS, form="branch", without=("base_compliance",), **on)[0]
                    for on in ({"grasp_slip": slips}, {}))  # fmt: skip
