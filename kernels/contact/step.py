@@ -16,7 +16,7 @@ import warp as wp
 from ..effects.step import term_functions, term_types, time_of
 from ..effects.terms import Term
 from ..lanes.real import SOURCE
-from ..lanes.team import meet
+from ..lanes.team import TEAM, meet
 from ..tree.articulated import advance_links, fold_links, place_links, place_root
 from ..tree.observe import locate_joints
 from .arm import (
@@ -39,10 +39,7 @@ from .law import ContactRule, contact_types
 from .solve import note_response, solve_contacts, summed
 from .space import find_yields, load_link, mark_paths, press_links, respond, set_out_contacts, turns_of
 
-__all__ = ["TEAM", "StepParts", "contact_step_kernel", "contact_step_parts"]
-
-#: Threads that solve a world's contacts together on a GPU: a warp.
-TEAM = 32
+__all__ = ["StepParts", "contact_step_kernel", "contact_step_parts"]
 
 
 # ---- one world -------------------------------------------------------------------------------------------------------
@@ -224,8 +221,7 @@ def _approach(width: int, terms: tuple[Term, ...]) -> Any:
         else:
             fold_links(e, row, m, x, s, h)
 
-    key = "_".join([str(width), *(f"{term.name}_{term.kind}" for term in terms)])
-    return wp.func(approach, name=f"approach_{key}", inline=True)
+    return wp.func(approach, name=f"approach_{start.key}", inline=True)
 
 
 @cache

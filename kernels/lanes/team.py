@@ -10,7 +10,10 @@ from typing import Any
 
 import warp as wp
 
-__all__ = ["meet"]
+__all__ = ["TEAM", "meet"]
+
+#: Threads of a team on a GPU: a warp, which is also a block, so that `meet` is the hardware's own.
+TEAM = 32
 
 # gate: threads that have come, and how often all had
 _MEET = """

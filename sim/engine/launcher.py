@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ...kernels.lanes.team import TEAM
 from ...kernels.tree.layout import layout_of
 from ..base.console import meanwhile
 from ..base.header import keep_header, share_header
@@ -31,7 +32,7 @@ APART = 4096
 COMPILING = "compiling kernels (once for each set of laws; minutes)"
 
 #: Threads of a block on a GPU: one warp, so that a thousand worlds occupy 32 multiprocessors instead of four.
-BLOCK = 32
+BLOCK = TEAM
 
 
 def rows_by_group(device: Any) -> bool:

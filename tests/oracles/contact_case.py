@@ -29,6 +29,13 @@ LAWS = {
 }
 
 
+def give(effects, values=LAWS):
+    """Write the same values into all worlds."""
+    for name, parameters in values.items():
+        for parameter, value in parameters.items():
+            effects.fill(name, parameter, value)
+
+
 def free_arm(**changes: float) -> Arm:
     """Return the Jaco 2 with the given numbers in all joints, unlimited in position."""
     arm = jaco2()

@@ -348,6 +348,9 @@ def test_grips_slide_at_their_rates() -> None:
     assert speed("threshold", across) == pytest.approx(6.0 - limit) and speed("threshold", 0.1 * across) == 0.0
     assert speed("creeping", across) == pytest.approx(36.0 / 10.0)
     assert speed("creeping", 0.5 * along) == pytest.approx(9.0 / 10.0)
+    limit = part("grasp_slip", "dragged", 0.5).params["limit_N"]
+    assert speed("dragged", along) == pytest.approx(6.0 - limit) == -speed("dragged", -along)
+    assert speed("dragged", across) == 0.0
     weight = part("grasp_slip", "rubbing", 0.5).params["weight"]
     assert speed("rubbing", along) - speed("rubbing", across) == pytest.approx(6.0 * weight)
 

@@ -7,17 +7,10 @@ from bough.learn.tasks.memory import simulator_tensors
 from bough.sim.base.errors import InputError
 from bough.sim.engine.model import Model
 from bough.sim.engine.simulator import Simulator
-from oracles.contact_case import LAWS, STRETCHED, contacts_of, drive, pushed_posts, pushes, simulator, ternary
+from oracles.contact_case import LAWS, STRETCHED, contacts_of, drive, give, pushed_posts, pushes, simulator, ternary
 from scipy.spatial.transform import Rotation
 
 FAR = (6.0, 0.0, 0.0)
-
-
-def give(effects, values=LAWS):
-    """Write the same values into all worlds."""
-    for name, parameters in values.items():
-        for parameter, value in parameters.items():
-            effects.fill(name, parameter, value)
 
 
 @pytest.mark.parametrize("width", [1, 8])

@@ -13,7 +13,7 @@ from bough.sim.arms.simulator import ArmSimulator
 from bough.sim.base.host import num_cores
 from bough.sim.base.thread_pool import Launches, recorded
 from bough.sim.engine import launcher
-from oracles.contact_case import LAWS, act, bits, busy, same
+from oracles.contact_case import LAWS, act, bits, busy, give, same
 
 ALL = {"arm_arm": True, "branch_branch": True}
 
@@ -24,17 +24,8 @@ def stepped(sim: ArmSimulator, steps: int) -> list[np.ndarray]:
     return bits(sim)
 
 
-def give_laws(sim: ArmSimulator) -> ArmSimulator:
-    """Give the branches' effects their values."""
-    for name, values in LAWS.items():
-        for parameter, value in values.items():
-            sim.effects.fill(name, parameter, value)
-    return sim
-
-
-@pytest.fixture
-def by_group(monkeypatch):
-    """Let every group have a scratch row of its own, as on a GPU."""
+def split(monkeypatch) -> None:
+    """Let every group of what is made from here on have a scratch row of its own, as on a GPU."""
     monkeypatch.setattr(launcher, "rows_by_group", lambda device: True)
 
 
@@ -42,7 +33,7 @@ def by_group(monkeypatch):
 def test_three_kernels_have_the_bits_of_one(options, monkeypatch):
     """Step 24 worlds by one kernel and by three: arm, branches, forces and torques keep their bits."""
     one = busy(24, **options)
-    monkeypatch.setattr(launcher, "rows_by_group", lambda device: True)
+    split(monkeypatch)
     three = busy(24, **options)
     same(stepped(one, 96), stepped(three, 96))
 
@@ -50,10 +41,11 @@ def test_three_kernels_have_the_bits_of_one(options, monkeypatch):
 def test_three_kernels_have_the_bits_of_one_beside_laws(monkeypatch):
     """Step 8 worlds whose branches obey laws, one of them of the time: the same bits."""
     laws = {"effects": tuple(LAWS), "substeps": 2}
-    one = give_laws(busy(8, **laws))
-    monkeypatch.setattr(launcher, "rows_by_group", lambda device: True)
-    three = give_laws(busy(8, **laws))
+    one = busy(8, **laws)
+    split(monkeypatch)
+    three = busy(8, **laws)
     for sim in (one, three):
+        give(sim.effects)
         act(sim, 48)
     same(bits(one), bits(three))
 
@@ -92,8 +84,9 @@ def spoil(sim: ArmSimulator) -> None:
 
 
 @pytest.mark.skipif(num_cores() < 2, reason="threads of a team wait for each other without sleep")
-def test_a_team_of_two_threads_finds_the_bits_of_one(by_group, monkeypatch):
+def test_a_team_of_two_threads_finds_the_bits_of_one(monkeypatch):
     """Step 24 worlds by one thread a world and by two that write, wait and read as a warp's do: the same bits."""
+    split(monkeypatch)
     one = busy(24, contacts=ALL)
     monkeypatch.setattr(launcher, "team_of", lambda device: 2)
     monkeypatch.setattr(launcher.Launcher, "prepare_parts", lambda self, parts: in_threads(parts, self.model.groups))

@@ -105,13 +105,15 @@ def test_kernels_compile_for_a_gpu(kernel, tmp_path):
     assert binary.read_bytes()[:4] == b"\x7fELF"
 
 
-LAWS = forest_terms(("plastic_set", "steady_wind", "tip_mass"))[0]  # a law of every kind
+def contact_with_laws():
+    """Return what comes before contacts, with a law of every kind."""
+    return contact_step_parts(6, forest_terms(("plastic_set", "steady_wind", "tip_mass"))[0]).approach
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp for macOS is built without CUDA")
 @pytest.mark.parametrize("make", [
     *(lambda name=name: getattr(contact_step_parts(6), name) for name in StepParts._fields),
-    lambda: contact_step_parts(6, LAWS).approach, lambda: capsule_kernel(1, 6), lambda: reset_arm_kernel(6),
+    contact_with_laws, lambda: capsule_kernel(1, 6), lambda: reset_arm_kernel(6),
 ], ids=[*(f"contact-{name}" for name in StepParts._fields), "contact-laws", "capsules", "reset"])  # fmt: skip
 def test_kernels_of_the_arm_compile_for_a_gpu(make, tmp_path):
     """Compile contact's step for sm_90; it computes in float32 only, lengths of steps and world's clocks apart."""
