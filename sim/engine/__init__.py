@@ -1,4 +1,4 @@
 """Model, state and simulator: descriptions become arrays, and worlds step.
 
-Uses: `kernels.tree`, `kernels.effects`, `sim.base`, `sim.effects`, `sim.trees`.
+Uses: `kernels.lanes`, `kernels.tree`, `kernels.effects`, `sim.base`, `sim.effects`, `sim.trees`.
 """

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from ....sim.effects import effect_of
 from ...cases.case import BranchCase, JointCase
 from ...replay.equation_error import simulation_of
 from ...replay.recording import Recording
@@ -64,7 +65,7 @@ class Simulations:
         on = acting.switched_on(values[:, values.shape[1] - len(acting.parameters) :])
         order = _side_by_side(on)
         jointed = on[order, acting.names.index(JOINTED)] if acting.has(JOINTED) else torch.ones_like(order).bool()
-        precedes = torch.tensor([acting.laws[n].precedes for n in acting.names], device=on.device)
+        precedes = torch.tensor([effect_of(n).law(acting.form).precedes for n in acting.names], device=on.device)
         waiting = (on[order] & precedes).any(1)  # a whole group of lanes waits for what acts before a recording begins
         parts = [(kind, order[(jointed == kind) & (waiting == w)]) for kind in (False, True) for w in (False, True)]
         found = [self._simulated(kind, values[rows], start[rows]) for kind, rows in parts if len(rows)]
