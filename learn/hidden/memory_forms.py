@@ -51,6 +51,37 @@ class Slider(Turned):
 
 
 @dataclass
+class Creeper(Turned):
+    """Friction T tanh(w / v) behind an elastic contact: nothing sticks, any torque makes it give way.
+
+    The contact bends by b tanh(u) at the torque T tanh(u), at which it slides at v u; u is found by bisection for the
+    end of the step.
+
+    Attributes:
+        torque: T [N m].
+        bend: b [rad].
+        rate: v [rad/s].
+    """
+
+    torque: float
+    bend: float
+    rate: float
+
+    def act(self, now: Now) -> None:
+        """Add the torque."""
+        bent = self._z + self.turn(now)
+        size = np.sqrt((bent**2).sum(axis=-1, keepdims=True))
+        slide = self.rate * now.step
+        low, high = np.zeros_like(size), size / slide
+        for _ in range(40):
+            u = 0.5 * (low + high)
+            less = self.bend * np.tanh(u) + slide * u < size
+            low, high = np.where(less, u, low), np.where(less, high, u)
+        self._z = self.bend * np.tanh(low) * bent / np.maximum(size, 1e-300)
+        now.twist(self.joint, -self.torque / self.bend * self._z)
+
+
+@dataclass
 class Stops(Turned):
     """Springs per axis, each of which slips at an angle of its own (Prandtl and Ishlinskii; Iwan).
 
@@ -196,6 +227,18 @@ def loaded(rng: Random, scale: Scale, joint: int) -> Draft:
     return _friction(rng, scale, joint, level, more=more)
 
 
+def creeping(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw friction T tanh(w / v), a damper where it hardly moves; the strength is T over the largest torque."""
+    size, bend = scale.torque(joint), float(rng.uniform(0.005, 0.01) * scale.angle[joint])
+    rate = float(rng.uniform(0.05, 0.2) * scale.rate[joint])
+
+    def make(strength: float) -> Part:
+        said = {"torque_Nm": strength * size, "bend_rad": bend, "speed_radps": rate}
+        return Part(said, joint, lambda: Creeper(joint, strength * size, bend, rate))
+
+    return Draft(make, 0.003, 0.1, 0.8)
+
+
 # ---- hysteresis_boucwen --------------------------------------------------------------------------------------------
 
 
@@ -277,7 +320,13 @@ def stretched(rng: Random, scale: Scale, joint: int) -> Draft:
 
 
 FORMS = {
-    "dry_friction": {"coulomb": coulomb, "stribeck": stribeck, "asymmetric": asymmetric, "loaded": loaded},
+    "dry_friction": {
+        "coulomb": coulomb,
+        "stribeck": stribeck,
+        "asymmetric": asymmetric,
+        "loaded": loaded,
+        "creeping": creeping,
+    },
     "hysteresis_boucwen": {
         "prandtl_ishlinskii": prandtl_ishlinskii,
         "iwan": iwan,

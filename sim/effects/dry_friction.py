@@ -1,5 +1,7 @@
 """Coulomb's friction at a joint."""
 
+from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import warp as wp
@@ -7,10 +9,13 @@ import warp as wp
 from ...kernels.effects.held import held
 from ...kernels.lanes.algebra import add, div, mul, norm, sub
 from ...kernels.lanes.real import fma, real, where_neg
-from .registry import Effect, EffectParameter, Law, register
+from .registry import Effect, EffectParameter, Law, Setting, register
 
 #: Least angle over which asperities bend before they slip in a branch [rad].
 BEND = wp.constant(wp.float64(5.0e-4))
+
+#: Least rate at which friction in a branch may change [rad/s], so that powers of a rate over it stay finite.
+SLOWEST = wp.constant(wp.float64(1.0e-6))
 
 
 @wp.func
@@ -37,16 +42,30 @@ def friction(j: Any, torque: Any, y: Any, gradual: Any, r: Any):
 
 @wp.func
 def dry_friction(j: Any, p: Any, r: Any):
-    """Friction that bends by 0.5 mrad at least."""
-    least = real(BEND, p.a)
-    return friction(j, p.a, where_neg(p.b - least, least, p.b), p.c, r)
+    """T (1 + s exp(-|w| / v)): friction that is larger at rest (s > 0), or smaller and creeps there (s < 0).
+
+    It bends by 0.5 mrad at least. With x = |w| / v the exponential is 1 / (1 + x + x^2/2 + x^3/6 + x^4/24), within
+    0.012. What is missing at rest, -s (1 - exp(-x)) T, sticks nowhere: a damper of that over |w|, implicit in the rate.
+    """
+    o = real(0.0, p.a)
+    one = real(1.0, o)
+    least = real(BEND, o)
+    slowest = real(SLOWEST, o)
+    v = where_neg(p.e - slowest, slowest, p.e)
+    x = norm(j.rate) / v
+    slow = fma(x, fma(x, fma(x, real(1.0 / 24.0, o), real(1.0 / 6.0, o)), real(0.5, o)), one)  # (e^x - 1) / x
+    fade = one / fma(x, slow, one)
+    more = where_neg(p.d, o, p.d)
+    creeps = where_neg(p.d, o - p.d, o)
+    out = friction(j, p.a * (fma(more, fade, one) - creeps), where_neg(p.b - least, least, p.b), p.c, r)
+    return type(r)(out.torque, out.memory, out.stiffness, fma(p.a * creeps / v, slow * fade, out.damping))
 
 
 @wp.func
 def dry_friction_holds(j: Any, p: Any, r: Any):
-    """Up to T, bent as far as that takes."""
+    """Up to what there is of it at rest, T (1 + s), bent as far as that takes."""
     least = real(BEND, p.a)
-    return held(r, p.a, where_neg(p.b - least, least, p.b))
+    return held(r, p.a * (real(1.0, p.a) + p.d), where_neg(p.b - least, least, p.b))
 
 
 @wp.func
@@ -66,18 +85,40 @@ _BEND_AT_JOINT = EffectParameter(
     typical=lambda s: 1e-3 * s.angle, optional=True,
 )  # fmt: skip
 _GRADUAL = EffectParameter("gradual", "1", 0.0, 1.0, tries=1, optional=True)
+#: Friction that grows as the joint comes to rest (Tustin), or gives way to any torque, however small.
+_STRIBECK = EffectParameter("stribeck", "1", -1.0, 2.0, tries=lambda s: [0.0], optional=True)
+_STRIBECK_RATE = EffectParameter(
+    "stribeck_radps", "rad/s", lambda s: 0.01 * s.rate, lambda s: 2.0 * s.rate, neutral=1.0, scale="log", tries=1,
+    optional=True,
+)  # fmt: skip
+
+
+def _creeping(s: Setting) -> Sequence[tuple[float, ...]]:
+    """Friction that vanishes at rest."""
+    torques, rates = [t * s.torque for t in (0.03, 0.2, 1.0)], [v * s.rate for v in (0.05, 0.4)]
+    return list(product(torques, [0.0], [0.0], [-1.0], rates))
+
 
 EFFECT = register(
     Effect(
         name="dry_friction",
         plain="dry friction",
         summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first, in"
-        " a branch 0.5 mrad at least, and from g = 0 to 1 comes ever more gradually to slip)",
-        source="Coulomb 1785; elastic before it slips, and gradual, as in Dahl 1968, Aerospace TOR-158",
+        " a branch 0.5 mrad at least, and from g = 0 to 1 comes ever more gradually to slip); in a branch it may be"
+        " larger while it hardly moves, T (1 + s exp(-|w| / v)), or smaller and creep there (s < 0)",
+        source="Coulomb 1785; elastic before it slips, and gradual, as in Dahl 1968, Aerospace TOR-158; growing towards"
+        " rest as in Tustin 1947, J. IEE 94:143",
         signature="oscillations decay in a straight line and stop off centre; loops keep their width however slow",
         mistaken_for=("hysteresis_boucwen", "plastic_set", "quadratic_drag"),
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
-        branch=Law("joint", (_TORQUE, _BEND, _GRADUAL), dry_friction, memory=1, holds=dry_friction_holds),
+        branch=Law(
+            "joint",
+            (_TORQUE, _BEND, _GRADUAL, _STRIBECK, _STRIBECK_RATE),
+            dry_friction,
+            memory=1,
+            holds=dry_friction_holds,
+            further=_creeping,
+        ),
         joint=Law("joint", (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL), dry_friction_at_joint, memory=1),
     )
 )

@@ -43,3 +43,25 @@ def test_in_space_it_is_round_and_never_above_its_size(gradual):
     out = turned(path, gradual)
     np.testing.assert_allclose(turned(path @ axes.T, gradual), out @ axes.T, atol=2e-5)
     assert (np.linalg.norm(out, axis=1) < 1 + 1e-5).all()
+
+
+@pytest.mark.parametrize("stribeck", [-1.0, -0.4, 0.0, 0.8])
+def test_its_size_depends_on_the_rate(stribeck):
+    """Turn ever faster: T (1 + s exp(-|w| / v)) against the turn, up to the exponential's own error of 0.012."""
+    v, along = 0.01, np.array([0.6, -0.64, 0.48])
+    rate = np.geomspace(1e-4, 0.3, STEPS)
+    path = np.cumsum(rate)[:, None] * along
+    path = np.concatenate([np.linspace(0, 10 * Y, STEPS)[:, None] * along, 10 * Y * along + path])  # slipping by then
+    out = along_path(path, 1.0, Y, 0.0, stribeck, v)[STEPS + 1 :] @ along
+    expected = 1 + stribeck * np.exp(-rate[1:] / v)
+    # the path is kept in float32: its differences are off by 1e-6 of 60 rad, which the damper of s / v sees at rest
+    np.testing.assert_allclose(out, -expected, atol=0.012 * abs(stribeck) + 4e-6 / v + 1e-5)
+
+
+def test_at_rest_it_may_creep():
+    """Bend, then stop: friction with s = -1 has nothing left to hold with, that with s = 0 has all."""
+    path = np.zeros((40, 3))
+    path[:20, 0] = np.linspace(0, 5 * Y, 20)
+    path[20:, 0] = 5 * Y
+    assert np.abs(along_path(path, 1.0, Y, 0.0, -1.0, 1e-3)[21:]).max() == 0.0
+    np.testing.assert_allclose(along_path(path, 1.0, Y, 0.0, 0.0, 1e-3)[21:, 0], -1.0, rtol=1e-6)

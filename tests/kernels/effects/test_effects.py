@@ -264,9 +264,9 @@ def held(n=200, force=FORCE):
     return np.interp(np.arange(n), [5, 25], [0.0, 1.0])[:, None] * force
 
 
-def stick(case, **on):
-    """Simulate a stick with everything but the trunk compiled in; `KS` and `DS` hold it."""
-    return simulate(case, KS, DS, form="branch", without=("base_compliance",), **on)
+def stick(case, damping=DS, **on):
+    """Simulate a stick with everything but the trunk compiled in; `KS` and a damper hold it."""
+    return simulate(case, KS, damping, form="branch", without=("base_compliance",), **on)
 
 
 def settled(out):
@@ -513,6 +513,38 @@ def test_dry_friction_holds_a_stick_aside(tmp_path):
     assert abs(out[0, 299, 0] - lever * np.sin(lean)) < within
     assert abs(out[0, -1, 0] - lever * np.sin(torque / KS)) < within
     assert 0.0 < np.abs(out[1, :, 1]).max() < 1.01 * BEND * lever * 1.2 * lever / torque
+
+
+def test_friction_that_creeps_lets_a_stick_come_back(tmp_path):
+    """Push a stick aside and let go: far below the rate v it creeps home as exp(-K t / (D + T / v))."""
+    torque, v, lever = 8.0, 20.0, 0.4
+    pulse = np.where(np.arange(400) < 50, 1.0, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    case = stick_case(tmp_path / "c", [pulse], gravity=0.0, elevation=90.0, azimuth=0.0)
+    on = {"torque_Nm": torque, "stribeck": -1.0, "stribeck_radps": v}
+    out, plain = stick(case, dry_friction=on)[0], stick(case, damping=DS + torque / v)[0]
+    # 1 - exp(-x) is x up to x / 2, x = |w| / v
+    slow = np.abs(np.diff(out[:, 0])).max() / 0.02 / lever / v
+    np.testing.assert_allclose(out[:, 0], plain[:, 0], atol=slow * np.abs(plain[:, 0]).max())
+    assert slow < 0.1 and np.abs(out[-1, 0]) < 1e-3 * np.abs(out[:, 0]).max()
+
+
+def test_two_maxwell_elements_creep_one_after_the_other(tmp_path):
+    """Lean under a constant force as the linear system of angle, dashpots a and dashpot b does, without inertia."""
+    (a, first), (b, second), lever, force = (0.6, 0.1), (0.9, 1.2), 0.4, 0.3
+    case = stick_case(tmp_path / "c", [np.tile([force, 0.0, 0.0], (200, 1))], gravity=0.0, elevation=90.0, azimuth=0.0)
+    two = {"share": a, "relaxation_s": first, "second_share": b, "second_relaxation_s": second}
+    out = stick(case, viscoelastic_sls=two)[0]
+
+    def slope(time, y):
+        phi, dashpots = y[0], y[1:]
+        springs = KS * (phi + a * (phi - dashpots[0]) + b * (phi - dashpots[1]))
+        return [(force * lever * np.cos(phi) - springs) / DS, *((phi - dashpots) / [first, second])]
+
+    t = case.trajectories[0].t
+    phi = solve_ivp(slope, (0.0, t[-1]), [0.0, 0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-12).y[0]
+    late = t > 0.4
+    # inertia of 0.015 kg m^2 swings on all springs and decays as exp(-D t / 2 J) = exp(-13 t): 0.5 % are left by 0.4 s
+    np.testing.assert_allclose(out[late, 0], lever * np.sin(phi[late]), rtol=0.006)
 
 
 def test_plastic_set_passes_to_the_next_recording(tmp_path):

@@ -12,6 +12,7 @@ from bough.learn.replay.recording import recordings, standing
 from bough.learn.replay.rollout import Rollout
 from bough.learn.systems.acting import Acting
 from bough.learn.systems.branch import Unknowns
+from bough.sim.effects import effect_of
 from oracles.effect_case import simulate, stick_case
 
 K, D, LEVER = 5.0, 0.02, 0.4
@@ -95,7 +96,8 @@ def test_joints_that_hold_take_it_there(tmp_path, holding):
     square = sum(arms[i] @ arms[i] for i in holding)
     turns = [np.cross(arms[i], off) / square for i in holding]
     first = sum(np.cross(turn, arms[i]) for turn, i in zip(turns, holding, strict=True))
-    acting = tuple(Acting("dry_friction", i, {"torque_Nm": 3.0, "bend_rad": BEND, "gradual": 0.0}) for i in holding)
+    friction = {p.name: p.neutral for p in effect_of("dry_friction").branch.parameters}
+    acting = tuple(Acting("dry_friction", i, friction | {"torque_Nm": 3.0, "bend_rad": BEND}) for i in holding)
     rollout = Rollout(case, begun(case, [off]), 1, unknowns=Unknowns(effects=acting))
     rollout._output.torch.fill_(torch.nan)
     out = rollout(torch.tensor([[20.0, 20.0, 0.1, 0.1]], dtype=torch.float64))[0, 0, :, :3].numpy()

@@ -293,6 +293,17 @@ def test_levels_of_friction() -> None:
     )
 
 
+def test_friction_that_creeps_is_a_hyperbolic_tangent_of_the_rate() -> None:
+    """Give T tanh(w / v) at each steady rate, either way, and less and less of it once the joint stands."""
+    made = part("dry_friction", "creeping", 0.3)
+    v, t = made.params["speed_radps"], made.params["torque_Nm"]
+    for rate in (0.1 * v, -0.7 * v, 3.0 * v):
+        angle = rate * STEP * np.arange(4001)
+        assert follow(made.law(), angle)[-1, 0] == pytest.approx(-t * np.tanh(rate / v), rel=1e-6)
+    stopped = follow(made.law(), np.minimum(3.0 * v * STEP * np.arange(8001), 12000 * v * STEP))[:, 0]
+    assert 0.0 < -stopped[-1] < 0.1 * t < -stopped[4000]
+
+
 def test_bristles_creep_before_they_slip() -> None:
     """Bend as T (1 - exp(-phi / bend)), as LuGre does at a steady level."""
     law = Slider(0, 0.5, 0.01, lambda phi, w, turn: np.ones((1, 1)), soft=True)

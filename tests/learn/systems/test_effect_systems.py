@@ -178,10 +178,10 @@ def test_a_replay_does_not_remember_the_one_before(tmp_path, form):
 
 BRANCH_TRUTH = {
     "cubic_stiffness": (6.0, 0.5),
-    "dry_friction": (0.25, 0.004, 0.4),
+    "dry_friction": (0.25, 0.004, 0.4, 0.5, 0.8),
     "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6),
     "quadratic_drag": (25.0, 0.4, 0.3),
-    "viscoelastic_sls": (0.5, 0.3),
+    "viscoelastic_sls": (0.5, 0.3, 0.4, 0.04),
     "tip_mass": (0.2,),
     "base_compliance": (0.02, 0.1, 0.02, 0.3),
     "backlash": (0.03, 0.5, 0.1, 0.3),
