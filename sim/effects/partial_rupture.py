@@ -8,16 +8,17 @@ from ...kernels.lanes.algebra import add, div, mul, sub
 from ...kernels.lanes.real import real, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
-#: Time that the fibres take to part [s].
+#: Least time that the fibres take to part [s].
 BREAKING = wp.constant(wp.float64(0.05))
 
 
 @wp.func
 def partial_rupture(j: Any, p: Any, r: Any):
-    """tau = +s (K phi - c P) after the moment t0, rising over 0.05 s; P is the preload that carries the weight."""
+    """tau = +s (K phi - c P) after the moment t0, rising over d; P is the preload that carries the weight."""
     o = real(0.0, p.a)
     one = real(1.0, o)
-    x = (j.time - p.b) / real(BREAKING, o)
+    least = real(BREAKING, o)
+    x = (j.time - p.b) / where_neg(p.d - least, least, p.d)
     x = where_neg(x, o, x)
     x = where_neg(one - x, one, x)
     gone = j.angle * (p.a * x * j.stiffness) - j.preload * (p.a * x * p.c)
@@ -29,7 +30,8 @@ EFFECT = register(
         name="partial_rupture",
         plain="a partial break (it is softer from one moment on)",
         summary="from a moment on the absolute clock on, the spring has lost a share s of its stiffness for good, and"
-        " as much of the preload that carries the branch's weight, or the share c of that, so that the branch sags",
+        " as much of the preload that carries the branch's weight, or the share c of that, so that the branch sags;"
+        " little by little over a time d, 0.05 s at least",
         source="Kachanov 1958 (damage as a share of the stiffness); Lemaitre, A Course on Damage Mechanics (1996), 1.2",
         signature="replicates before and after a moment differ; after it everything is softer, and may hang lower",
         mistaken_for=("plastic_set", "tip_mass"),
@@ -47,6 +49,16 @@ EFFECT = register(
                     reach=lambda s: 0.25 * s.duration,
                 ),
                 EffectParameter("preload", "1", 0.0, 1.0, tries=1, optional=True),
+                EffectParameter(
+                    "takes_s",
+                    "s",
+                    0.05,
+                    lambda s: max(0.5 * s.duration, 0.1),
+                    neutral=0.05,
+                    scale="log",
+                    tries=lambda s: [0.05],
+                    optional=True,
+                ),
             ),
             partial_rupture,
             settles=True,

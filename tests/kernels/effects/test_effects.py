@@ -403,6 +403,19 @@ def test_force_bias_needs_contact(tmp_path):
     assert np.abs(out[-1, :3]).max() < 1e-3
 
 
+def test_rupture_may_take_its_time(tmp_path):
+    """Lean as a spring that has lost its share times (t - t0) / d, under a force that stays."""
+    share, moment, takes = 0.5, 1.5, 2.0
+    case = stick_case(tmp_path / "c", [held(200)])
+    out = stick(case, partial_rupture={"share": share, "moment_s": moment, "takes_s": takes})[0]
+    for time in (1.4, 2.0, 2.5, 3.0, 3.6):
+        lost = share * np.clip((time - moment) / takes, 0.0, 1.0)
+        expected = resting(case, lambda phi, lost=lost: -KS * (1.0 - lost) * phi, lambda R: FORCE)
+        lag = np.linalg.norm(out[round(time / 0.02), 3:]) * DS / KS / (1.0 - share)  # the damper's, behind its rest
+        np.testing.assert_allclose(out[round(time / 0.02), :3], expected, atol=2.0 * lag + 2e-4)
+    assert np.linalg.norm(out[180, :3] - out[70, :3]) > 0.02
+
+
 @pytest.mark.parametrize("preload", [0.0, 1.0])
 def test_rupture_softens_later_recordings(tmp_path, preload):
     """Rest as with K before the moment and as with (1 - s) K after it, in the same and in the next recording.

@@ -186,7 +186,7 @@ BRANCH_TRUTH = {
     "base_compliance": (0.02, 0.1, 0.02, 0.3),
     "backlash": (0.03, 0.5, 0.1, 0.3),
     "plastic_set": (0.4, 0.1, 0.6, 0.5),
-    "partial_rupture": (0.4, 20.9, 0.5),
+    "partial_rupture": (0.4, 20.9, 0.5, 0.2),
     "grasp_slip": (-0.05, 0.5, 0.2, 1.0, 0.3),
     "force_bias": (0.2, -0.3, 0.25),
     "force_scale": (1.3,),
