@@ -257,8 +257,8 @@ def test_a_break_need_not_be_foreseen(branch):
     def models(size, seed):
         truth = activated(contest, contest.base_batch(1), [(scale, broken)])
         truth.free[0, contest.candidates[scale].columns[0]] = 0.1
-        share, when, preload = columns = list(contest.candidates[broken].columns)
-        truth.free[0, share], truth.free[0, when], truth.free[0, preload] = math.log(size or 0.02), moment, 1.0
+        columns = list(contest.candidates[broken].columns)
+        truth.free[0, columns] = torch.tensor([math.log(size or 0.02), moment, 1.0, math.log(0.05)]).double()
         single = truth.copy()
         single.active[:, columns] = False
         held = truth if size else single
