@@ -25,6 +25,7 @@ from ..tree.articulated import (
     SPHERICAL,
     advance_links,
     fold_link,
+    held_at,
     own_force,
     own_inertia,
     own_moment,
@@ -219,7 +220,7 @@ def fold_laws(
             A = A + skew_square(arm, A) * extra
             mass = mass + extra
             mc = mc + arm * extra
-            effort = effort + fx.hold[row, i]
+            effort = effort + held_at(e, i, m, x, fx.hold[row, i])
         if at.joint >= 0:
             if fx.active[e, at.joint] == 1:
                 effort = effort + torque_of(e, row, i, m, x, fx, h, time, strain)
@@ -232,7 +233,7 @@ def fold_laws(
         if is_on(e, at.link, fx):
             f = f - fx.wind[row, i]
             n0 = n0 - fx.swirl[row, i]
-        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + effort)
+        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, effort)
 
 
 @wp.func

@@ -37,6 +37,8 @@ from ..tree.articulated import (
     SPHERICAL,
     advance_links,
     fold_link,
+    held_along,
+    held_at,
     own_force,
     own_inertia,
     own_moment,
@@ -140,7 +142,7 @@ def law_types(width: int, precision: int) -> SimpleNamespace:
 
     @wp.struct
     class JointState:
-        """What a law at a joint sees; ``preload`` is the torque that holds the weight in the spring's rest pose."""
+        """What a law at a joint sees; ``preload`` is the present torque of the pre-load that carries the weight."""
 
         angle: Vec
         rate: Vec
@@ -408,10 +410,12 @@ def joint_state(kind: int, q: Any, w: Any, preload: Any, stiffness: Any, time: A
     o = real(0.0, time)
     angle = type(w)(q.x, o, o)
     rate = type(w)(w.x, o, o)
+    held = preload
     if kind == SPHERICAL:
         angle = type(w)(q.x, q.y, q.z) * half_angle_log(q)
         rate = w
-    return type(like)(angle, rate, preload, stiffness, time, real(h, o))
+        held = held_along(preload, q)
+    return type(like)(angle, rate, held, stiffness, time, real(h, o))
 
 
 def strain_of(law: Any, types: SimpleNamespace, key: str) -> Any:
@@ -480,7 +484,7 @@ def act(
         zero = type(v)(o, o, o)
         total = u.effort[e, i]
         if at.tip >= 0:
-            total = total + fx.hold[e, i]
+            total = total + held_at(e, i, m, x, fx.hold[e, i])
         stiffness = m.stiffness[e, i]
         damping = fx.damping[e, i]
         if is_on(e, at.joint, fx):
@@ -524,7 +528,7 @@ def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float6
         if at.link >= 0:
             f = f - fx.wind[e, i]
             n0 = n0 - fx.swirl[e, i]
-        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + fx.effort[e, i])
+        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, fx.effort[e, i])
 
 
 @cache

@@ -196,6 +196,32 @@ def skew(v: Any, like: Any):
 
 
 @wp.func(inline=True)
+def held_along(P: Any, q: Any):
+    """Torque of a ball joint's pre-load P at a turn q, in the link's axes: the force of the energy -P.phi, phi = log q.
+
+    P - phi x P / 2 + c phi x (phi x P),  c = (1 - |phi|/2 cot |phi|/2) / |phi|^2: what a spring that is strained by P/K
+    at rest adds to -K phi, but for the square of that strain. A torque constant in a frame is the force of no energy.
+    With phi = f (q.x, q.y, q.z), |phi|/2 cot |phi|/2 = f q.w / 2.
+    """
+    o = real(0.0, P.x)
+    f = half_angle_log(q)
+    phi = type(P)(q.x, q.y, q.z) * f
+    half = real(0.5, o)
+    c = (real(1.0, o) - f * q.w * half) / (dot(phi, phi) + real(1.0e-30, o))
+    turned = cross(phi, P)
+    return add_scaled(sub_scaled(P, turned, half), cross(phi, turned), c)
+
+
+@wp.func(inline=True)
+def held_at(e: int, i: int, m: Any, x: Any, P: Any):
+    """Effort of a pre-load P at a joint's present coordinate: `held_along` at a ball joint, else P as it is."""
+    out = type(P)(P.x, P.y, P.z)
+    if m.kind[e, i] == SPHERICAL:
+        out = held_along(P, x.coordinate[e, i])
+    return out
+
+
+@wp.func(inline=True)
 def implicit_inertia(e: int, i: int, m: Any, h: wp.float64):
     """k = armature + h D', what joins a joint's inertia."""
     damping = m.damping[e, i]
@@ -210,11 +236,12 @@ def fold_links(e: int, row: int, m: Any, x: Any, s: Any, h: wp.float64):
         i = n - step
         A = own_inertia(e, row, i, m, s)
         mass = m.mass[e, i]
+        o = real(0.0, mass)
         mc = rotate(s.pose[row, i], m.com[e, i]) * mass
         B = skew(mc, s.U[row, i])
         f = own_force(row, i, s, mass, mc)
         n0 = own_moment(row, i, s, A, mc)
-        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i])
+        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, type(f)(o, o, o))
 
 
 @wp.func(inline=True)
@@ -231,7 +258,7 @@ def fold_links_loaded(e: int, row: int, m: Any, x: Any, u: Any, s: Any, h: wp.fl
         force = u.force[e, i]
         f = own_force(row, i, s, mass, mc) - force
         n0 = add_cross(own_moment(row, i, s, A, mc) - u.torque[e, i], force, rotate(pose, u.point[e, i]))
-        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, m.preload[e, i] + u.effort[e, i])
+        fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, u.effort[e, i])
 
 
 @wp.func(inline=True)
@@ -273,13 +300,13 @@ def fold_spherical(
     """Fold across a spherical joint, S = [1; 0].
 
     With D = (A + k)^-1 and t = Q - K log q - D' w - n0:  A -> k - k^2 D,  B -> k D B,  M -> M - B^T D B,
-    n0 -> n0 + t - k D t,  f0 -> f0 + B^T D t;  Q is the joint's effort, pre-load and applied, in world axes.
+    n0 -> n0 + t - k D t,  f0 -> f0 + B^T D t;  Q is the joint's effort, applied and of its pre-load, in world axes.
     """
     q = x.coordinate[e, i]
     damping = m.damping[e, i]
     k = implicit_inertia(e, i, m, h)
-    spring = half_angle_log(q) * m.stiffness[e, i]
-    sprung = sub_scaled(effort, type(n0)(q.x, q.y, q.z), spring)
+    phi = type(n0)(q.x, q.y, q.z) * half_angle_log(q)
+    sprung = sub_scaled(effort + held_along(m.preload[e, i], q), phi, m.stiffness[e, i])
     t = sub_scaled(rotate(s.pose[row, i], sprung), s.relative[row, i], damping) - n0
     D = shifted_inverse(A, k)
     U = D * B
@@ -323,7 +350,7 @@ def fold_other(
         axis = rotate(s.pose[row, i], m.axis[e, i])
         damping = m.damping[e, i]
         k = implicit_inertia(e, i, m, h)
-        t = effort.x - m.stiffness[e, i] * x.coordinate[e, i].x - damping * x.velocity[e, i].x
+        t = effort.x + m.preload[e, i].x - m.stiffness[e, i] * x.coordinate[e, i].x - damping * x.velocity[e, i].x
         if kind == REVOLUTE:
             un = A * axis
             fold_scalar(e, row, i, p, m, s, A, B, M, n, f, axis, un, transposed_mul(B, axis), k + dot(axis, un),

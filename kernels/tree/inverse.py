@@ -28,6 +28,7 @@ from .articulated import (
     PRISMATIC,
     REVOLUTE,
     SPHERICAL,
+    held_along,
     own_force,
     own_inertia,
     own_moment,
@@ -95,9 +96,9 @@ def joint_effort(e: int, row: int, i: int, m: Any, x: Any, s: Any, qdd: Any, mom
     o = real(0.0, q.x)
     effort = type(moment)(o, o, o)
     if kind == SPHERICAL:
-        sprung = add_scaled(unrotate(s.pose[row, i], moment), type(moment)(q.x, q.y, q.z),
-                            half_angle_log(q) * stiffness)  # fmt: skip
-        effort = add_scaled(add_scaled(sprung, v, m.damping[e, i]), qdd, m.armature[e, i]) - m.preload[e, i]
+        phi = type(moment)(q.x, q.y, q.z) * half_angle_log(q)
+        sprung = add_scaled(unrotate(s.pose[row, i], moment), phi, stiffness) - held_along(m.preload[e, i], q)
+        effort = add_scaled(add_scaled(sprung, v, m.damping[e, i]), qdd, m.armature[e, i])
     elif kind != FIXED:
         axis = rotate(s.pose[row, i], m.axis[e, i])
         carried = dot(axis, moment)

@@ -109,21 +109,21 @@ def probe_kernel(width: int = 1, precision: int = 32) -> Any:
 
 @wp.func
 def spring_energy(e: int, i: int, m: Any, x: Any):
-    """K |phi|^2 / 2 of a joint, phi its rotation vector or coordinate from rest."""
+    """K |phi|^2 / 2 - P.phi of a joint, phi its rotation vector or coordinate from rest, P its pre-load."""
     q = x.coordinate[e, i]
+    P = m.preload[e, i]
     o = real(0.0, q.x)
-    phi2 = q.x * q.x
+    phi = type(P)(q.x, o, o)
     if m.kind[e, i] == SPHERICAL:
-        c = half_angle_log(q)
-        phi2 = fma(q.z, q.z, fma(q.y, q.y, q.x * q.x)) * (c * c)
-    return m.stiffness[e, i] * phi2 * real(0.5, o)
+        phi = type(P)(q.x, q.y, q.z) * half_angle_log(q)
+    return m.stiffness[e, i] * dot(phi, phi) * real(0.5, o) - dot(P, phi)
 
 
 @wp.func(inline=True)
 def sums(e: int, row: int, m: Any, x: Any, s: Any):
     """Kinetic energy, energy of the weight and of the springs, linear and angular momentum of located links.
 
-    T = m v.v/2 + m v.(w x c) + w.I w/2 about each joint point, V = -m g.x, springs K |phi|^2/2.
+    T = m v.v/2 + m v.(w x c) + w.I w/2 about each joint point, V = -m g.x, springs K |phi|^2/2 - P.phi.
     """
     lift = s.accel0[row, 0]
     o = real(0.0, lift.x)
@@ -150,7 +150,7 @@ def sums(e: int, row: int, m: Any, x: Any, s: Any):
 
 @cache
 def energy_kernel(width: int = 1, precision: int = 32) -> Any:
-    """Return the kernel that sums energies (`sums`; pre-loads left out) and momenta of every world.
+    """Return the kernel that sums energies (`sums`) and momenta of every world.
 
     Linear momentum, and angular momentum about the origin.
     """

@@ -138,7 +138,7 @@ def hold_rest_pose(tree: Tree, gravity: float = 9.81) -> Tree:
     down = quat_rotate(rest_pose(tree)[1] * [1.0, -1.0, -1.0, -1.0], np.array([0.0, 0.0, -1.0]))
     weight = gravity * down
     torque, force = np.cross(moment, weight), mass[:, None] * weight
-    return tree.with_(preload=-(_generalised(tree, torque, force) + _spring_at_zero(tree)))
+    return tree.with_(preload=_strained(tree, -(_generalised(tree, torque, force) + _spring_at_zero(tree))))
 
 
 def toppling_stiffness(tree: Tree, gravity: float = 9.81) -> Array:
@@ -179,9 +179,28 @@ def _spring_at_zero(tree: Tree) -> Array:
     scalar = np.isin(tree.joint, [Joint.REVOLUTE, Joint.PRISMATIC])
     out[:, 0] = np.where(scalar, tree.stiffness * tree.rest[:, 0], 0.0)
     ball = tree.joint == Joint.SPHERICAL
+    out[ball] = tree.stiffness[ball, None] * _relaxed(tree)[ball]
+    return out
+
+
+def _relaxed(tree: Tree) -> Array:
+    """Rotation vectors [L, 3] at which the springs of spherical joints are relaxed [rad]."""
     rest = tree.rest * np.where(tree.rest[:, :1] < 0.0, -1.0, 1.0)  # q and -q are one orientation
     sine = np.linalg.norm(rest[:, 1:], axis=1)
     angle = 2.0 * np.arctan2(sine, rest[:, 0])
-    axis = rest[:, 1:] / np.maximum(sine, 1e-300)[:, None]
-    out[ball] = (tree.stiffness * angle)[ball, None] * axis[ball]
-    return out
+    vector: Array = rest[:, 1:] * (angle / np.maximum(sine, 1e-300))[:, None]
+    return vector
+
+
+def _strained(tree: Tree, torque: Array) -> Array:
+    """Pre-loads [L, 3] that act with joint forces [L, 3] at joint zero, where a ball is turned by phi from its rest.
+
+    A ball's pre-load P acts as J^-T P (`kernels.tree.articulated.held_along`), J the right Jacobian of the rotation
+    vector phi:  J^T = 1 + (1 - cos|phi|) / |phi|^2 [phi] + (|phi| - sin|phi|) / |phi|^3 [phi]^2.
+    """
+    phi = -_relaxed(tree)
+    angle = np.maximum(np.linalg.norm(phi, axis=1, keepdims=True), 1e-12)
+    first = np.cross(phi / angle, torque)
+    second = np.cross(phi / angle, first)
+    turned = torque + (1.0 - np.cos(angle)) / angle * first + (1.0 - np.sin(angle) / angle) * second
+    return np.where((tree.joint == Joint.SPHERICAL)[:, None], turned, torque)

@@ -11,6 +11,7 @@ from bough.learn.replay.rollout import Rollout
 from bough.learn.systems.acting import Acting
 from bough.learn.systems.branch import Unknowns
 from bough.sim.effects import effects
+from oracles.mujoco_tree import held_torque
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
@@ -102,7 +103,7 @@ def resting(branch, spring, force, *, point=0.4, seen=0.4, more=None, lost=0.0):
 
     def moment(phi):
         turn = rest * Rotation.from_rotvec(phi) * rest.inv()  # R of the world vectors
-        out = (rest * Rotation.from_rotvec(phi)).apply(preload + spring(phi))
+        out = (rest * Rotation.from_rotvec(phi)).apply(held_torque(preload, phi) + spring(phi))
         out = out + np.cross(turn.apply(com), weight) + np.cross(turn.apply(axis * point), force(turn))
         return out if more is None else out + more(turn)
 

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from bough.sim.formats.export_mjcf import to_mjcf
 from bough.sim.trees.tree import Joint, Tree
+from scipy.spatial.transform import Rotation
 
 OFF = (
     mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -18,8 +19,8 @@ OFF = (
 def compiled(tree: Tree, dt: float = 1.0 / 240.0, gravity: float = 9.81, xml: str | None = None):
     """Compile a tree numbered depth first: (model, data), so that body i + 1 is link i.
 
-    MJCF has neither rest orientations of ball springs nor constant joint forces; they are set in the compiled model
-    and as applied forces.
+    MJCF has neither rest orientations of ball springs nor pre-loads; they are set in the compiled model and, by `hold`,
+    as applied forces.
 
     Args:
         tree: The tree.
@@ -35,8 +36,30 @@ def compiled(tree: Tree, dt: float = 1.0 / 240.0, gravity: float = 9.81, xml: st
     model.opt.disableflags |= int(OFF)
     model.qpos_spring[:] = rows(tree, tree.rest, "coordinates")
     data = mujoco.MjData(model)
-    data.qfrc_applied[:] = rows(tree, tree.preload, "dofs")
+    hold(tree, model, data)
     return model, data
+
+
+def hold(tree: Tree, model, data) -> None:
+    """Apply the pre-loads in the present pose."""
+    applied = tree.preload.copy()
+    for i in np.flatnonzero((tree.joint == Joint.SPHERICAL) & tree.preload.any(axis=1)):
+        place = int(model.jnt_qposadr[model.body_jntadr[i + 1]])
+        rest, now = (Rotation.from_quat(q, scalar_first=True) for q in (tree.rest[i], data.qpos[place : place + 4]))
+        applied[i] = held_torque(tree.preload[i], (rest.inv() * now).as_rotvec())
+    data.qfrc_applied[:] = rows(tree, applied, "dofs")
+
+
+def held_torque(preload, phi) -> np.ndarray:
+    """Torque of a ball's pre-load P in the link's axes, the gradient of P.phi, phi the rotation vector from rest.
+
+    With a turn w of the link about its own axes d phi = J^-1 w of the right Jacobian J (Sola, Deray & Atchuthan 2018,
+    equation 143), so that the torque is J^-T P.
+    """
+    angle = max(float(np.linalg.norm(phi)), 1e-12)
+    hat = np.cross(np.eye(3), phi / angle)
+    jacobian = np.eye(3) - (1 - np.cos(angle)) / angle * hat + (1 - np.sin(angle) / angle) * hat @ hat
+    return np.linalg.solve(jacobian.T, preload)
 
 
 def rows(tree: Tree, values: np.ndarray, size: str) -> np.ndarray:
@@ -45,9 +68,11 @@ def rows(tree: Tree, values: np.ndarray, size: str) -> np.ndarray:
     return values[np.arange(values.shape[1])[None, :] < counts[:, None]]
 
 
-def one_step(model, data, qpos, qvel) -> tuple[np.ndarray, np.ndarray]:
-    """Return qpos and qvel one step after the given ones; applied forces of ``data`` stay as they are."""
+def one_step(model, data, qpos, qvel, tree: Tree | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Return qpos and qvel one step after the given ones, with the pre-loads of a tree; other applied forces stay."""
     data.qpos[:], data.qvel[:] = qpos, qvel
+    if tree is not None:
+        hold(tree, model, data)
     mujoco.mj_step(model, data)
     return data.qpos.copy(), data.qvel.copy()
 
@@ -61,7 +86,10 @@ def trajectory(tree: Tree, qpos, dt: float, steps: int, substeps: int = 1) -> np
     data.qpos[:] = qpos
     out = np.empty((steps, tree.num_links, 3))
     for k in range(steps):
-        mujoco.mj_step(model, data, substeps)
+        for _ in range(substeps if tree.preload.any() else 0):
+            hold(tree, model, data)
+            mujoco.mj_step(model, data)
+        mujoco.mj_step(model, data, 0 if tree.preload.any() else substeps)
         if not (np.isfinite(data.qpos).all() and np.abs(data.qvel).max() < np.pi / model.opt.timestep):
             return None
         mujoco.mj_kinematics(model, data)
@@ -89,6 +117,7 @@ def equilibrium(tree: Tree, qpos, *, tolerance: float = 1e-10) -> np.ndarray:
 
     def force(at: np.ndarray) -> np.ndarray:
         data.qpos[:], data.qvel[:] = at, 0.0
+        hold(tree, model, data)
         mujoco.mj_forward(model, data)
         return data.qfrc_smooth.copy()
 

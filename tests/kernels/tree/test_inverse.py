@@ -11,9 +11,10 @@ from bough.sim.engine.model import Model
 from bough.sim.engine.simulator import Simulator
 from bough.sim.formats.import_mjcf import load_mjcf
 from bough.sim.trees.tree import Joint
-from oracles.mujoco_tree import OFF, compiled
+from oracles.mujoco_tree import OFF, compiled, hold
 from oracles.random_mjcf import RandomMjcf
 from oracles.random_tree import random_qpos, random_tree
+from scipy.spatial.transform import Rotation
 
 #: Relative to the largest effort: round-off of a sum over some ten links. Measured: 4e-15 and 2e-6.
 TOLERANCE = {64: 1e-12, 32: 2e-5}
@@ -35,9 +36,11 @@ def state_of(rng: np.random.Generator, tree) -> tuple[np.ndarray, np.ndarray, np
     return random_qpos(rng, tree, 0.5), rng.normal(0.0, 2.0, n), rng.normal(0.0, 10.0, n)
 
 
-def mujoco_efforts(model, data, qpos, qvel, qacc) -> np.ndarray:
+def mujoco_efforts(model, data, qpos, qvel, qacc, tree=None) -> np.ndarray:
     """Efforts by mj_inverse; MuJoCo counts forces applied from outside as part of what it returns."""
     data.qpos[:], data.qvel[:], data.qacc[:] = qpos, qvel, qacc
+    if tree is not None:
+        hold(tree, model, data)
     mujoco.mj_inverse(model, data)
     return data.qfrc_inverse - data.qfrc_applied
 
@@ -56,8 +59,33 @@ def test_efforts_are_mujoco_s(width, precision):
     simulator.state.set_qvel([s[1] for s in starts])
     found = inverse_of(simulator).efforts([s[2] for s in starts])
     for tree, start, ours in zip(trees, starts, found, strict=True):
-        want = mujoco_efforts(*compiled(tree), *start)
+        want = mujoco_efforts(*compiled(tree), *start, tree)
         np.testing.assert_allclose(ours, want, rtol=0, atol=TOLERANCE[precision] * np.abs(want).max(initial=0))
+
+
+def test_a_preload_is_a_strained_spring():
+    """Hold a tree as MuJoCo's springs that are relaxed elsewhere do, up to K |psi|^2 |phi| / 12 of a strain psi = P/K.
+
+    A torque that is constant in the link's axes would be off by K |psi| |phi| / 2.
+    """
+    rng = np.random.default_rng(7)
+    tree = random_tree(rng, 8, joints=(Joint.SPHERICAL,))
+    strain = rng.normal(size=(8, 3))
+    strain *= 0.05 / np.linalg.norm(strain, axis=1, keepdims=True)
+    loaded = tree.with_(preload=tree.stiffness[:, None] * strain)
+    qpos, still = random_qpos(rng, tree, 0.3), np.zeros(tree.num_dofs)
+    model, data = compiled(tree)
+    relaxed = Rotation.from_quat(tree.rest, scalar_first=True) * Rotation.from_rotvec(strain)
+    model.qpos_spring[:] = relaxed.as_quat(scalar_first=True).ravel()
+    want = mujoco_efforts(model, data, qpos, still, still)
+    simulator = Simulator(Model(loaded, precision=64), dt=1e-3)
+    simulator.state.set_qpos(qpos)
+    off = np.linalg.norm((inverse_of(simulator).efforts(still)[0] - want).reshape(8, 3), axis=1)
+    pose = Rotation.from_quat(qpos.reshape(8, 4), scalar_first=True)
+    turned = (Rotation.from_quat(tree.rest, scalar_first=True).inv() * pose).magnitude()
+    least = tree.stiffness * 0.05**2 * turned / 12
+    assert (off < 1.2 * least + tree.stiffness * 0.05**3).all()
+    assert (off < 0.05 * tree.stiffness * 0.05 * turned / 2).all()
 
 
 @pytest.mark.parametrize("seed", range(8))
