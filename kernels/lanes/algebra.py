@@ -14,6 +14,7 @@ from .real import (
     Double,
     add,
     any_neg,
+    atan_excess,
     atan_ratio,
     cos_root,
     div,
@@ -287,6 +288,23 @@ def half_angle_log(q: Any):
     i = one / fma(q.w, s, one)
     u = fma(q.z, q.z, fma(q.y, q.y, q.x * q.x)) * (i * i)
     return atan_ratio(u) * (i * s * 4.0)
+
+
+@wp.func
+def log_factors(q: Any):
+    """Factors f and g of a turn q = (w, v): log(q) = f v, and the right Jacobian J of log(q) has
+
+        J^-T P = P - f/2 v x P + g v x (v x P),   g = (1 - f w / 2) / |v|^2.
+
+    With A = atan(t)/t as in `half_angle_log` and u = t^2, f w / 2 = A (1 - u), so that no difference vanishes in
+    g = (A - (A - 1) / u) / (1 + |w|)^2.
+    """
+    one = real(1.0, q.w)
+    s = where_neg(q.w, real(-1.0, q.w), one)
+    i = one / fma(q.w, s, one)
+    u = fma(q.z, q.z, fma(q.y, q.y, q.x * q.x)) * (i * i)
+    ratio = atan_ratio(u)
+    return ratio * (i * s * 4.0), (ratio - atan_excess(u)) * (i * i)
 
 
 @wp.func

@@ -21,6 +21,7 @@ named ``add``, ``sub``, ``mul`` and ``div`` below; named helpers are overloaded 
 ``sin_ratio(u)``          sin(x)/x with x = sqrt(u)
 ``cos_root(u)``           cos(x) with x = sqrt(u)
 ``atan_ratio(u)``         atan(x)/x with x = sqrt(u), for u in [0, 1]
+``atan_excess(u)``        (atan(x)/x - 1) / u with x = sqrt(u), for u in [0, 1]
 ``lane_neg(c, i)``        whether c < 0 in world i of the group
 ``lane(a, i)``            value of world i of the group, as a float32 or float64 number
 ========================  ==============================================================================
@@ -69,6 +70,15 @@ def series_atan(u: Any):
     """atan(x)/x, u = x^2 in [0, 1], by Horner's rule."""
     y = real(ATAN[0], u)
     for k in range(1, 10):
+        y = fma(y, u, real(ATAN[k], u))
+    return y
+
+
+@wp.func
+def series_atan_excess(u: Any):
+    """(atan(x)/x - 1) / u, u = x^2 in [0, 1]: the same polynomial without its last coefficient."""
+    y = real(ATAN[0], u)
+    for k in range(1, 9):
         y = fma(y, u, real(ATAN[k], u))
     return y
 
@@ -166,6 +176,12 @@ def cos_root(u: F):
 def atan_ratio(u: F):
     """atan(x)/x with x = sqrt(u), u in [0, 1]."""
     return series_atan(u)
+
+
+@wp.func
+def atan_excess(u: F):
+    """(atan(x)/x - 1) / u with x = sqrt(u), u in [0, 1]."""
+    return series_atan_excess(u)
 
 
 @wp.func
@@ -329,6 +345,24 @@ def atan_ratio(u: Double):
     if u.v > wp.float64(1.0e-12):
         return type(u)(wp.atan(x) / x)
     return type(u)(wp.float64(1.0) - u.v / wp.float64(3.0))
+
+
+#: Taylor series of (atan(x)/x - 1) / u, highest power first; the next term is below 7e-20 where u = x^2 < 1e-3.
+EXCESS = wp.constant(
+    wp.types.vector(6, wp.float64)(1.0 / 13.0, -1.0 / 11.0, 1.0 / 9.0, -1.0 / 7.0, 1.0 / 5.0, -1.0 / 3.0)
+)
+
+
+@wp.func
+def atan_excess(u: Double):
+    """(atan(x)/x - 1) / u with x = sqrt(u), u in [0, 1]."""
+    if u.v > SMALL:
+        x = wp.sqrt(u.v)
+        return type(u)((wp.atan(x) / x - wp.float64(1.0)) / u.v)
+    y = EXCESS[0]
+    for k in range(1, 6):
+        y = y * u.v + EXCESS[k]
+    return type(u)(y)
 
 
 @wp.func
@@ -506,6 +540,11 @@ for _W in (8, 16):
     def atan_ratio(u: Lanes):
         """atan(x)/x with x = sqrt(u), u in [0, 1]."""
         return series_atan(u)
+
+    @wp.func
+    def atan_excess(u: Lanes):
+        """(atan(x)/x - 1) / u with x = sqrt(u), u in [0, 1]."""
+        return series_atan_excess(u)
 
     @wp.func
     def lane_neg(c: Lanes, i: int):

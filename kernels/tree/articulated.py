@@ -42,7 +42,7 @@ from ..lanes.algebra import (
     div,
     dot,
     exponential,
-    half_angle_log,
+    log_factors,
     mul,
     renormalised,
     rotate,
@@ -199,17 +199,18 @@ def skew(v: Any, like: Any):
 def held_along(P: Any, q: Any):
     """Torque of a ball joint's pre-load P at a turn q, in the link's axes: the force of the energy -P.phi, phi = log q.
 
-    P - phi x P / 2 + c phi x (phi x P),  c = (1 - |phi|/2 cot |phi|/2) / |phi|^2: what a spring that is strained by P/K
-    at rest adds to -K phi, but for the square of that strain. A torque constant in a frame is the force of no energy.
-    With phi = f (q.x, q.y, q.z), |phi|/2 cot |phi|/2 = f q.w / 2.
+    J^-T P of the right Jacobian of phi (`log_factors`): what a spring that is strained by P / K at rest adds to -K phi,
+    but for the square of that strain. A torque that is constant in the link's axes is the force of no energy.
     """
-    o = real(0.0, P.x)
-    f = half_angle_log(q)
-    phi = type(P)(q.x, q.y, q.z) * f
-    half = real(0.5, o)
-    c = (real(1.0, o) - f * q.w * half) / (dot(phi, phi) + real(1.0e-30, o))
-    turned = cross(phi, P)
-    return add_scaled(sub_scaled(P, turned, half), cross(phi, turned), c)
+    f, g = log_factors(q)
+    return held_of(P, type(P)(q.x, q.y, q.z), f, g)
+
+
+@wp.func(inline=True)
+def held_of(P: Any, v: Any, f: Any, g: Any):
+    """J^-T P = P - f/2 v x P + g v x (v x P)."""
+    turned = cross(v, P)
+    return add_scaled(sub_scaled(P, turned, real(0.5, f) * f), cross(v, turned), g)
 
 
 @wp.func(inline=True)
@@ -305,8 +306,9 @@ def fold_spherical(
     q = x.coordinate[e, i]
     damping = m.damping[e, i]
     k = implicit_inertia(e, i, m, h)
-    phi = type(n0)(q.x, q.y, q.z) * half_angle_log(q)
-    sprung = sub_scaled(effort + held_along(m.preload[e, i], q), phi, m.stiffness[e, i])
+    c, g = log_factors(q)
+    v = type(n0)(q.x, q.y, q.z)
+    sprung = sub_scaled(effort + held_of(m.preload[e, i], v, c, g), v, c * m.stiffness[e, i])
     t = sub_scaled(rotate(s.pose[row, i], sprung), s.relative[row, i], damping) - n0
     D = shifted_inverse(A, k)
     U = D * B

@@ -30,7 +30,7 @@ class Links:
         mass, stiffness, damping, armature: SI units, shape [N].
         com: Centre of mass in the link frame [m], shape [N, 3].
         inertia: Principal moments about the joint point [kg m^2], shape [N, 3].
-        preload: Constant joint force in the link frame [N m or N], shape [N, 3].
+        preload: Joint force at the spring's rest, in the link frame [N m or N], shape [N, 3]; see `Tree`.
         frame: Link frame in the body frame, shape [N, 4].
         anchor: Joint point in the body frame [m], shape [N, 3].
         rest: Rest coordinate as in `Tree.rest`, shape [N, 4].

@@ -311,7 +311,7 @@ class Simulator:
     def energy(self) -> tuple[Array, Array]:
         """Return energies [worlds, 3] (kinetic, gravitational, springs) [J] and momenta [worlds, 2, 3].
 
-        Momenta are linear [kg m/s] and angular about the origin [kg m^2/s]. Pre-loads have no energy here.
+        The springs' is with their pre-loads. Momenta are linear [kg m/s] and angular about the origin [kg m^2/s].
         """
         before = [self.model.kernel, self.state.kernel, self._slot_world]
         self._launcher.prepare(

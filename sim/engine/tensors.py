@@ -60,7 +60,7 @@ QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
         "stiffness": Quantity("links", "model", "stiffness", 1, "N m/rad, N/m", "springs of the joints"),
         "damping": Quantity("links", "model", "damping", 1, "N m s/rad, N s/m", "dampers of the joints"),
         "armature": Quantity("links", "model", "armature", 1, "kg m^2, kg", "inertia added at the joints"),
-        "preload": Quantity("dofs", "model", "preload", 0, "N m, N", "constant forces of the joints"),
+        "preload": Quantity("dofs", "model", "preload", 0, "N m, N", "pre-loads of the joints"),
         "mass": Quantity("mass", "model", "mass", 1, "kg", "masses; inertias follow in proportion"),
     }
 )

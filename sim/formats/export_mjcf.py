@@ -20,7 +20,7 @@ def to_mjcf(tree: Tree, *, gravity: float = 9.81, timestep: float = 1.0 / 240.0)
 
     Bodies are nested with children in index order; a tree numbered depth-first keeps its numbering in MuJoCo.
     Numbers are written so that they read back to the same float64. A capsule's geom has the mean of its two radii,
-    takes no part in collision and adds no mass. MJCF has no constant joint force: non-zero ``preload`` is kept,
+    takes no part in collision and adds no mass. MJCF has no pre-load: non-zero ``preload`` is kept,
     link by link, in ``<custom><numeric name="bough_preload"/></custom>``.
 
     Args:
@@ -53,7 +53,9 @@ def to_mjcf(tree: Tree, *, gravity: float = 9.81, timestep: float = 1.0 / 240.0)
 
 
 def _write_preload(root: ET.Element, tree: Tree) -> None:
-    root.append(ET.Comment(" bough_preload: constant joint force [N m or N], three numbers a link, not in MuJoCo "))
+    root.append(
+        ET.Comment(" bough_preload: pre-loads [N m or N], three numbers a link, not in MuJoCo ")
+    )
     data = numbers(tree.preload.ravel())
     ET.SubElement(ET.SubElement(root, "custom"), "numeric", name="bough_preload", data=data)
 

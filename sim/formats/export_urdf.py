@@ -7,7 +7,7 @@ What URDF lacks, and what is written instead:
 - No spherical joints: three revolute joints in a row, about x, y and z, with two nearly massless links between. For
   their angles a, b, c the spherical joint's rotation is ``Rx(a) Ry(b) Rz(c)`` (intrinsic x-y-z), singular at
   b = +-90 degrees. Damping on the three angles equals the spherical joint's only for small angles.
-- No springs, rest positions, armature or constant forces: written as attributes of a ``<bough>`` element inside the
+- No springs, rest positions, armature or pre-loads: written as attributes of a ``<bough>`` element inside the
   (first) joint, which other readers skip.
 - No capsules: a cylinder of the mean radius and two spheres of the end radii.
 """

@@ -249,7 +249,7 @@ def _depth_first(source: Source, spec: Any, model: Any) -> list[tuple[int, int]]
 
 
 def _preload(source: Source, count: int) -> Array:
-    """Constant joint forces [N m or N], shape [count, 3], which bough's own export keeps in ``<custom>``."""
+    """Pre-loads [N m or N], shape [count, 3], which bough's own export keeps in ``<custom>``."""
     for item in source.section("custom"):
         if item.tag == "numeric" and item.attrib.get("name") == "bough_preload":
             return item.vector("data", 3 * count).reshape(count, 3)

@@ -61,7 +61,7 @@ def from_mujoco(model: Any, ignore: Sequence[str] = ()) -> Mechanism:
 
 
 def _preload(model: Any, count: int) -> Array:
-    """Constant joint forces [N m or N], shape [count, 3], which bough's own export keeps in ``<custom>``."""
+    """Pre-loads [N m or N], shape [count, 3], which bough's own export keeps in ``<custom>``."""
     named = [i for i in range(model.nnumeric) if model.numeric(i).name == "bough_preload"]
     return np.array(model.numeric(named[0]).data).reshape(count, 3) if named else np.zeros((count, 3))
 

@@ -261,7 +261,7 @@ def _joint_values(joint: Element) -> dict[str, object]:
 
 
 def _extension_values(extension: Element) -> dict[str, object]:
-    """Fields of `Tree` in a ``<bough>`` element: springs, armature and constant forces, which URDF lacks."""
+    """Fields of `Tree` in a ``<bough>`` element: springs, armature and pre-loads, which URDF lacks."""
     out: dict[str, object] = {key: extension.positive(key, 0.0) for key in ("stiffness", "armature")}
     if extension.keyword("joint", "scalar", ("scalar", "spherical")) == "scalar":
         rest, preload = extension.number("rest", 0.0), extension.number("preload", 0.0)

@@ -64,8 +64,8 @@ class Tree:
         damping: Joint damper [N m s/rad or N s/m], shape [L].
         armature: Inertia added to each joint axis [kg m^2 or kg], shape [L].
         rest: Orientation (quaternion w, x, y, z) or coordinate (first entry) where the spring is relaxed, shape [L, 4].
-        preload: Constant generalised joint force [N m or N]: three components in the body frame for spherical joints,
-            the first for the others, shape [L, 3].
+        preload: Joint force P at the spring's rest, of the energy -P.phi [N m or N], shape [L, 3]: three components in
+            the body frame for spherical joints, phi their rotation vector from there; a constant first one for others.
         level: Branching order, 0 for the trunk, shape [L].
         shape_link: Link that each capsule belongs to, shape [S].
         shape_start: Where each capsule's axis begins, in the body frame [m], shape [S, 3].

@@ -37,7 +37,7 @@ def random_tree(
         armature: Upper bound of the joints' armature, uniform [kg m^2 or kg].
         bent_rest: Whether springs are relaxed away from joint zero (always at zero for spherical joints, whose rest
             orientation MJCF cannot express).
-        preloaded: Whether joints carry constant forces [N m or N].
+        preloaded: Whether joints carry pre-loads [N m or N].
     """
     n, parent = num_links, _random_parents(rng, num_links, max_children)
     joint = rng.choice([int(j) for j in joints], size=n)

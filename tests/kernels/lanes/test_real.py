@@ -20,6 +20,7 @@ from bough.kernels.lanes.algebra import (  # noqa: F401, Warp resolves operators
 from bough.kernels.lanes.real import (
     SOURCE,
     any_neg,
+    atan_excess,
     atan_ratio,
     cos_root,
     fma,
@@ -94,6 +95,7 @@ def functions(width: int, precision: int):
         series[e, 0] = sin_ratio(u[e, 0])
         series[e, 1] = cos_root(u[e, 0])
         series[e, 2] = atan_ratio(u[e, 0])
+        series[e, 3] = atan_excess(u[e, 0])
         p = q[e, 0]
         log[e, 0] = Vec(p.x, p.y, p.z) * half_angle_log(p)
         turns[e, 0] = exponential(v[e, 0], p)
@@ -187,7 +189,7 @@ def evaluated(width: int, precision: int, **given: np.ndarray) -> dict[str, np.n
     n = len(next(iter(given.values())))
     rest = {"u": np.ones((n, 3)), "v": np.ones((n, 2, 3)), "q": np.ones((n, 4)), "a": np.eye(6)[[0] * n] + 1.0}
     x = {k: np.asarray(given.get(k, v), np.float64) for k, v in rest.items()}
-    kinds = {"series": ("Real", 3), "log": ("Vec", 1), "turns": ("Quat", 3), "inverse": ("Sym", 1)}
+    kinds = {"series": ("Real", 4), "log": ("Vec", 1), "turns": ("Quat", 3), "inverse": ("Sym", 1)}
     size = {"Real": 1, "Vec": 3, "Quat": 4, "Sym": 6}
     out = {k: array(s, np.full((n, p, size[s]), np.nan), width, precision) for k, (s, p) in kinds.items()}
     shapes = {"u": x["u"][:, :, None], "v": x["v"], "q": x["q"][:, None], "a": x["a"][:, None]}
@@ -200,7 +202,7 @@ def evaluated(width: int, precision: int, **given: np.ndarray) -> dict[str, np.n
 
 @pytest.mark.parametrize(("width", "precision"), KINDS)
 def test_series_are_the_functions(width, precision):
-    """Compare sin(x)/x and cos(x) on half turns [0, pi/2] and atan(x)/x on [0, 1] with NumPy.
+    """Compare sin(x)/x and cos(x) on half turns [0, pi/2], atan(x)/x and its excess on [0, 1] with NumPy.
 
     float32: the polynomials leave 4e-10 (Taylor, pi/2) and 2.5e-9 (Chebyshev), below its rounding; Horner's rule adds
     a rounding or two. The argument itself is rounded to u = x^2.
@@ -210,13 +212,19 @@ def test_series_are_the_functions(width, precision):
     t = np.linspace(0.0, 1.0, 320)
     w = (t * t).astype(scalar(precision)).astype(np.float64)
     smooth = evaluated(width, precision, u=np.stack([u, u, u], axis=1))["series"][:, :, 0]
-    arc = evaluated(width, precision, u=np.stack([w, w, w], axis=1))["series"][:, 2, 0]
+    arc, excess = evaluated(width, precision, u=np.stack([w, w, w], axis=1))["series"][:, 2:, 0].T
     bound = 4 * EPS[precision] + (3e-9 if precision == 32 else 0)
     np.testing.assert_allclose(smooth[:, 0], np.sinc(np.sqrt(u) / np.pi), rtol=0, atol=bound)
     np.testing.assert_allclose(smooth[:, 1], np.cos(np.sqrt(u)), rtol=0, atol=bound)
     root = np.sqrt(w)
     want = np.where(root > 0, np.arctan(root) / np.where(root > 0, root, 1.0), 1.0)
     np.testing.assert_allclose(arc, want, rtol=0, atol=bound)
+    far = w > 0.05  # below, NumPy's difference loses its digits: there -1/3 + w/5 - w^2/7 + w^3/9 - w^4/11
+    taylor = np.polyval([-1 / 11, 1 / 9, -1 / 7, 1 / 5, -1 / 3], w)
+    # the difference of the ratios' 2.5e-9 over w, 1e-12 of rounding over it, and the series' next term, w^5 / 13
+    spread = bound + (6e-7 if precision == 32 else 2e-15 / 0.05)
+    np.testing.assert_allclose(excess[far], ((want - 1.0) / np.where(far, w, 1.0))[far], rtol=0, atol=spread)
+    np.testing.assert_allclose(excess[~far], taylor[~far], rtol=0, atol=spread + 0.05**5 / 13)
 
 
 def turned(vectors: np.ndarray) -> np.ndarray:

@@ -100,7 +100,7 @@ def test_mjcf_takes_links_in_any_order():
 
 
 def test_mjcf_keeps_the_preload_and_capsules():
-    """Find constant forces in a custom field, and geoms of the mean radius that neither weigh nor collide."""
+    """Find pre-loads in a custom field, and geoms of the mean radius that neither weigh nor collide."""
     tree = random_tree(np.random.default_rng(1), 4, preloaded=True)
     m = mujoco.MjModel.from_xml_string(to_mjcf(tree))
     np.testing.assert_array_equal(m.numeric("bough_preload").data, tree.preload.ravel())
