@@ -79,7 +79,7 @@ def _searched(base: Base, evidence: Evidence, run: Run) -> Searched:
     with run.timed("fits"):
         fitted_again(fitted, 1)
         fitted.models += moved(fitted.contest, fitted.of_size(1)[:2])
-        fitted.models += taken_for(fitted)
+        fitted.models += taken_for(fitted, 1)
         fitted.models += mirrored(fitted.contest, fitted.of_size(1)[:LEADERS])
         known = base.noise
         fitted = _recoloured(base, fitted)
@@ -154,6 +154,7 @@ def _add_effects(fitted: FittedModels, run: Run) -> None:
         fitted.contest.overdispersion = fitted.overdispersion
         further = next_level(fitted.contest, leaders, run.progress)
         fitted.models += further + reduced(fitted.contest, further[:2]) + mirrored(fitted.contest, further[:2])
+        fitted.models += taken_for(fitted, count)
         fitted_again(fitted, count, every=True)
     if fitted.needs_more(fitted.best):
         fitted.models += widespread(fitted, run.settings.max_effects)

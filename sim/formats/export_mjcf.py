@@ -53,9 +53,7 @@ def to_mjcf(tree: Tree, *, gravity: float = 9.81, timestep: float = 1.0 / 240.0)
 
 
 def _write_preload(root: ET.Element, tree: Tree) -> None:
-    root.append(
-        ET.Comment(" bough_preload: pre-loads [N m or N], three numbers a link, not in MuJoCo ")
-    )
+    root.append(ET.Comment(" bough_preload: pre-loads [N m or N], three numbers a link, not in MuJoCo "))
     data = numbers(tree.preload.ravel())
     ET.SubElement(ET.SubElement(root, "custom"), "numeric", name="bough_preload", data=data)
 

@@ -95,24 +95,51 @@ def moved(contest: Contest, models: Sequence[Model]) -> list[Model]:
     return _settled(contest, begun, sum(ITERATIONS[1:]))
 
 
-def taken_for(fitted: FittedModels) -> list[Model]:
-    """Return the laws that the leading one is mistaken for, or that are mistaken for it, fitted at its joint.
+def taken_for(fitted: FittedModels, count: int) -> list[Model]:
+    """Return the best model of so many effects with each of its laws exchanged for those it is taken for, at its joint.
 
-    They begin as they were fitted at another joint: a law that fits slowly where it acts may have been dropped there
-    and kept at its neighbour's. Those whose fits at the joint were not dropped are not returned.
+    They are laws that it is mistaken for, or that are mistaken for it. They begin as they were fitted alone, maybe at
+    another joint: a law that fits slowly where it acts may have been dropped there and kept at its neighbour's. Models
+    that were fitted until they had settled are not returned.
     """
-    singles, contest = fitted.of_size(1), fitted.contest
-    if not singles:
+    contest, best = fitted.contest, next(iter(fitted.of_size(count)), None)
+    if best is None:
         return []
-    leader = contest.candidates[singles[0].members[0]]
-    there = {c.name: k for k, c in enumerate(contest.candidates) if c.acting.joint == leader.acting.joint}
-    done, begun = {m.members[0] for m in singles if m.settled}, []
-    for name, k in there.items():
-        alike = name in effect_of(leader.name).mistaken_for or leader.name in effect_of(name).mistaken_for
-        best = next((m for m in singles if m.settled and fitted.names(m) == (name,)), None)
-        if alike and best is not None and k not in done:
-            begun.append(_at(contest, best, best.members[0], k))
+    done, begun = {m.members for m in fitted.of_size(count) if m.settled}, []
+    for c in best.members:
+        for other in _taken_for(contest, c):
+            key = tuple(sorted((set(best.members) - {c}) | {other}))
+            names = (contest.candidates[other].name,)
+            alone = next((m for m in fitted.of_size(1) if m.settled and fitted.names(m) == names), None)
+            if alone is not None and len(key) == count and key not in done:
+                begun.append((key, _exchanged(contest, best, c, other, alone)))
     return _settled(contest, begun, sum(ITERATIONS[1:]))
+
+
+def _taken_for(contest: Contest, candidate: int) -> list[int]:
+    """Return the candidates at a candidate's joint whose laws are mistaken for its law or the other way round."""
+    own = contest.candidates[candidate]
+    return [
+        k for k, c in enumerate(contest.candidates)
+        if c.acting.joint == own.acting.joint
+        and (c.name in effect_of(own.name).mistaken_for or own.name in effect_of(c.name).mistaken_for)
+    ]  # fmt: skip
+
+
+def _exchanged(contest: Contest, model: Model, candidate: int, other: int, alone: Model) -> Batch:
+    """Return a model's start, one law exchanged for another as it was fitted alone; a single law brings its base."""
+    if len(model.members) == 1:
+        return _at(contest, alone, alone.members[0], other)[1]
+    own = _without(contest, model.fit.batch, [candidate])
+    old, new = (list(contest.candidates[k].columns) for k in (alone.members[0], other))
+    own.active[:, new] = True
+    own.free[:, new] = _inside(contest, alone.fit.batch.free[:, old], new)
+    return own
+
+
+def _inside(contest: Contest, free: torch.Tensor, columns: list[int]) -> torch.Tensor:
+    """Return values of columns inside their boxes."""
+    return torch.maximum(torch.minimum(free, contest.high[columns]), contest.low[columns])
 
 
 def _at(contest: Contest, model: Model, candidate: int, other: int) -> tuple[tuple[int, ...], Batch]:
@@ -120,7 +147,7 @@ def _at(contest: Contest, model: Model, candidate: int, other: int) -> tuple[tup
     own = _without(contest, model.fit.batch, [candidate])
     old, new = (list(contest.candidates[k].columns) for k in (candidate, other))
     own.active[:, new] = True
-    own.free[:, new] = torch.maximum(torch.minimum(model.fit.batch.free[:, old], contest.high[new]), contest.low[new])
+    own.free[:, new] = _inside(contest, model.fit.batch.free[:, old], new)
     return tuple(sorted((set(model.members) - {candidate}) | {other})), own
 
 

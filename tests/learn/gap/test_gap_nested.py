@@ -359,8 +359,31 @@ def test_a_law_that_was_dropped_where_it_acts_is_fitted_there(tmp_path):
     dropped = Model((right,), evaluated(contest, activated(contest, base, [(right,)])), False)
     fitted = FittedModels(contest, Model((), evaluated(contest, base)), [*kept, dropped])
     assert fitted.of_size(1)[0].members == (coupling,)
-    (found,) = taken_for(fitted)
+    (found,) = taken_for(fitted, 1)
     assert found.members == (right,) and found.settled
     assert found.chi2 < 1e-3 * contest.num_samples < kept[0].chi2
     fitted.models.append(found)
-    assert taken_for(fitted) == []
+    assert taken_for(fitted, 1) == []
+
+
+def test_the_second_of_two_laws_is_exchanged_too(tmp_path):
+    """Beside a drag, a coupling stands where a spring is anisotropic; of the pair one law is exchanged, in its place.
+
+    Both fit alone, the right one at its joint; as a pair with the drag only the wrong one was tried.
+    """
+    make_branch_case(tmp_path / "case", 4, segments=1, samples=50, dt=1e-3)
+    case = load_case(tmp_path / "case")
+    names = ("quadratic_drag", "anisotropic_stiffness", "bending_torsion_coupling")
+    contest = Contest(case, recordings(case), np.full(6, 0.003), names)
+    drag, right, wrong = (next(k for k, c in enumerate(contest.candidates) if c.name == n) for n in names)
+    truth = activated(contest, contest.base_batch(1), [(drag, right)])
+    truth.free[0, list(contest.candidates[right].columns)] = torch.tensor([0.6, 1.2], dtype=torch.float64)
+    contest.measured = contest.simulate(contest.values(truth), truth.start)[0].double()
+    base = contest.base_batch(1)
+    singles = [Model((k,), fit(contest, activated(contest, base, [(k,)]), 24), True) for k in (drag, right, wrong)]
+    pair = Model((drag, wrong), fit(contest, activated(contest, base, [(drag, wrong)]), 24), True)
+    fitted = FittedModels(contest, Model((), evaluated(contest, base)), [*singles, pair])
+    found = {m.members: m for m in taken_for(fitted, 2)}
+    assert found[drag, right].chi2 < 1e-3 * contest.num_samples < pair.chi2
+    fitted.models += found.values()
+    assert fitted.of_size(2)[0].members == (drag, right)
