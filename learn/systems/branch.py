@@ -48,7 +48,7 @@ class Unknowns:
 class BranchSystem:
     """A branch of R segments on joints; its unknowns are those of `Unknowns`.
 
-    The box of springs and dampers comes from the beam model (thesis eq. 4.2) for Young's moduli of 10 MPa to 100 GPa
+    The box of springs and dampers comes from the beam model (thesis eq. 4.2) for Young's moduli of 1 MPa to 100 GPa
     and from dampers that relax a joint, D / K, in 0.1 ms to 10 s. Density may be a third to three times what the case
     says; a rest angle (error of a segment's measured elevation) within 30 degrees. Whatever the unknowns, the branch
     is at rest in its given pose: pre-loads follow.
@@ -62,7 +62,7 @@ class BranchSystem:
         first: Link of the first segment: 0, or 1 above the link that `base_compliance` adds.
     """
 
-    YOUNG = (1e7, 1e11)
+    YOUNG = (1e6, 1e11)
     RELAXATION = (1e-4, 10.0)
     #: Least relaxation time D / K of a ball joint, in substeps. A segment has hardly any inertia about its own axis,
     #: so explicit springs are stable there only with D / K above half a substep. Below, the simulator makes springs of

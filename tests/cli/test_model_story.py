@@ -15,8 +15,9 @@ from bough.learn.systems.model_file import BranchModel, write_model
 from oracles.oscillator import write_case
 
 SPRING, DAMPER = 40.0, 0.5
+FRICTION = {"torque_Nm": 0.5, "bend_rad": 0.001, "gradual": 0.0, "stribeck": -0.5, "stribeck_radps": 0.2}
 EFFECTS = (
-    Acting("dry_friction", 0, {"torque_Nm": 0.5, "bend_rad": 0.001, "gradual": 0.0}),
+    Acting("dry_friction", 0, FRICTION),
     Acting("tip_mass", None, {"mass_kg": 0.15}),
 )
 WARNING = "left out: dry_friction@0, tip_mass: trees have springs and dampers alone\n"
@@ -60,11 +61,12 @@ def test_known_effects_act_while_springs_are_learnt(bough, here):
     for name, true in (("stiffness twig", SPRING), ("damping twig", DAMPER)):
         assert report["parameters"][name]["median"] == pytest.approx(true, rel=0.01)
     assert report["settings"]["effects"] == [
-        {"name": "dry_friction", "joint": 0, "parameters": {"torque_Nm": 0.5, "bend_rad": 0.001, "gradual": 0.0}},
+        {"name": "dry_friction", "joint": 0, "parameters": FRICTION},
         {"name": "tip_mass", "joint": None, "parameters": {"mass_kg": 0.15}},
     ]
     page = Path("out/report.html").read_text()
-    assert page.count("dry_friction@0 (torque_Nm 0.5, bend_rad 0.001, gradual 0), tip_mass (mass_kg 0.15)") == 1
+    said = ", ".join(f"{name} {value:g}" for name, value in FRICTION.items())
+    assert page.count(f"dry_friction@0 ({said}), tip_mass (mass_kg 0.15)") == 1
 
 
 def test_models_that_do_not_fit_the_case(bough, here):

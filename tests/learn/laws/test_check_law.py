@@ -237,8 +237,8 @@ def test_a_law_that_holds_less_than_it_says_is_told(monkeypatch, tmp_path):
     given = replace(friction, branch=replace(friction.branch, holds=a_third))
     monkeypatch.setattr(registry, "_ROWS", {**registry._ROWS, "dry_friction": given})
     case = case_for("branch", tmp_path / "case")
-    values = {"torque_Nm": SETTING.torque, "bend_rad": 10.0 * SETTING.angle, "gradual": 0.0}
-    monkeypatch.setattr(checks, "values_in", lambda law: [values[p.name] for p in law.parameters])
+    values = {"torque_Nm": SETTING.torque, "bend_rad": 10.0 * SETTING.angle}
+    monkeypatch.setattr(checks, "values_in", lambda law: [values.get(p.name, p.neutral) for p in law.parameters])
     assert checks._holding(given, case).verdict == "missing"
     monkeypatch.setattr(registry, "_ROWS", {**registry._ROWS, "dry_friction": friction})
     assert checks._holding(friction, case).verdict == "ok"
