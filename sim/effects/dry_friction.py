@@ -88,7 +88,7 @@ _GRADUAL = EffectParameter("gradual", "1", 0.0, 1.0, tries=1, optional=True)
 #: Friction that grows as the joint comes to rest (Tustin), or gives way to any torque, however small.
 _STRIBECK = EffectParameter("stribeck", "1", -1.0, 2.0, tries=lambda s: [0.0], optional=True)
 _STRIBECK_RATE = EffectParameter(
-    "stribeck_radps", "rad/s", lambda s: 0.01 * s.rate, lambda s: 2.0 * s.rate, neutral=1.0, scale="log", tries=1,
+    "stribeck_radps", "rad/s", lambda s: 0.01 * s.rate, lambda s: 0.5 * s.rate, neutral=1.0, scale="log", tries=1,
     optional=True,
 )  # fmt: skip
 
