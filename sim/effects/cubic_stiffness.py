@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ...kernels.lanes.algebra import add, div, dot, mul, sub
-from ...kernels.lanes.real import real, where_neg
+from ...kernels.lanes.real import fma, real, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
 
@@ -20,17 +20,22 @@ def cubic_stiffness(j: Any, p: Any, r: Any):
 
 @wp.func
 def cubic_ball(j: Any, p: Any, r: Any):
-    """tau = -kappa K ((1 - m) |phi|^2 phi + m (phi_x^3, phi_y^3, phi_z^3)), m from 0 to 1."""
+    """tau = -K ((1 - m) g(|phi|^2) phi + m (g(phi_x^2) phi_x, ...)),  g(u) = kappa u + lambda (kappa u)^2, m in [0, 1].
+
+    Its steepest tangent is K (3 kappa u + 5 lambda (kappa u)^2) at u = |phi|^2.
+    """
     o = real(0.0, p.a)
-    k = p.a * j.stiffness
+    one = real(1.0, o)
     a = j.angle
-    own = p.b
-    joint = (real(1.0, o) - own) * dot(a, a)
+    x, y, z = p.a * a.x * a.x, p.a * a.y * a.y, p.a * a.z * a.z
+    whole = x + y + z
+    joint = (one - p.b) * whole * fma(p.c, whole, one)
     torque = type(a)(
-        a.x * (joint + own * a.x * a.x), a.y * (joint + own * a.y * a.y), a.z * (joint + own * a.z * a.z)
+        a.x * fma(p.b * x, fma(p.c, x, one), joint), a.y * fma(p.b * y, fma(p.c, y, one), joint),
+        a.z * fma(p.b * z, fma(p.c, z, one), joint),
     )  # fmt: skip
-    tangent = k * dot(a, a) * real(3.0, k)
-    return type(r)(torque * (o - k), r.memory, where_neg(tangent, o, tangent), o)
+    tangent = j.stiffness * whole * fma(real(5.0, o) * p.c, whole, real(3.0, o))
+    return type(r)(torque * (o - j.stiffness), r.memory, where_neg(tangent, o, tangent), o)
 
 
 _CUBIC = EffectParameter("cubic_radm2", "1/rad^2", lambda s: -1.0 / s.angle**2, lambda s: 20.0 / s.angle**2)
@@ -40,12 +45,21 @@ EFFECT = register(
         name="cubic_stiffness",
         plain="a spring that gets stiffer or softer the further it bends",
         summary="torque -K (phi + kappa |phi|^2 phi): the spring stiffens (kappa > 0) or softens with the angle; at a"
-        " ball joint a share of it may act about each axis of the segment by itself, kappa phi_k^3",
+        " ball joint a share of it may act about each axis of the segment by itself, kappa phi_k^3, and"
+        " lambda kappa^2 |phi|^4 phi may end the softening",
         source="Duffing 1918; Kovacic & Brennan, The Duffing Equation (2011), chapter 2",
         signature="frequency and stiffness depend on amplitude, alike in both directions and in hold and release",
         mistaken_for=("bilinear_stiffness", "force_scale"),
         probe="the same push at a third and at three times the force",
-        branch=Law("joint", (_CUBIC, EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True)), cubic_ball),
+        branch=Law(
+            "joint",
+            (
+                _CUBIC,
+                EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True),
+                EffectParameter("quintic", "1", 0.0, 2.0, tries=lambda s: [0.0], optional=True),
+            ),
+            cubic_ball,
+        ),
         joint=Law("joint", (_CUBIC,), cubic_stiffness),
     )
 )

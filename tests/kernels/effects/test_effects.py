@@ -403,6 +403,24 @@ def test_force_bias_needs_contact(tmp_path):
     assert np.abs(out[-1, :3]).max() < 1e-3
 
 
+@pytest.mark.parametrize(("separate", "quintic"), [(0.0, 0.0), (0.0, 0.5), (1.0, 0.5), (0.4, 1.5)])
+def test_a_softening_spring_holds_a_stick(tmp_path, separate, quintic):
+    """Rest where K (phi + kappa phi^3 + lambda kappa^2 phi^5), round or about each axis, and weight balance a force."""
+    kappa = -6.0
+    case = stick_case(tmp_path / "c", [held(300, 1.5 * FORCE)])
+
+    def cubic(u):
+        return kappa * u + quintic * (kappa * u) ** 2
+
+    def spring(phi):
+        return -KS * phi * (1.0 + (1.0 - separate) * cubic(phi @ phi) + separate * cubic(phi**2))
+
+    out = stick(case, cubic_stiffness={"cubic_radm2": kappa, "separate": separate, "quintic": quintic})[0]
+    expected = resting(case, spring, lambda R: 1.5 * FORCE)
+    np.testing.assert_allclose(settled(out), expected, atol=2e-4)
+    assert np.linalg.norm(expected - resting(case, lambda phi: -KS * phi, lambda R: 1.5 * FORCE)) > 2e-3
+
+
 def test_rupture_may_take_its_time(tmp_path):
     """Lean as a spring that has lost its share times (t - t0) / d, under a force that stays."""
     share, moment, takes = 0.5, 1.5, 2.0

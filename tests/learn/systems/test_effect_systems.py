@@ -177,7 +177,7 @@ def test_a_replay_does_not_remember_the_one_before(tmp_path, form):
 # ---- recovery ------------------------------------------------------------------------------------------------------
 
 BRANCH_TRUTH = {
-    "cubic_stiffness": (6.0, 0.5),
+    "cubic_stiffness": (6.0, 0.5, 0.3),
     "dry_friction": (0.25, 0.004, 0.4, 0.5, 0.8),
     "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6),
     "quadratic_drag": (25.0, 0.4, 0.3),
