@@ -15,6 +15,10 @@ from oracles.mujoco_tree import held_torque
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
+#: Spring [N m/rad] and damper [N m s/rad] of a stick, and a force that bends it [N].
+KS, DS = 20.0, 0.4
+FORCE = np.array([2.0, -3.0, 1.5])
+
 
 def swing_case(folder: Path, starts, *, torque=None, inertia=2.0, dt=0.01, duration=3.0):
     """Write and load a case of one hinge with unknown spring and damper, a run for each start angle and rate.
@@ -85,6 +89,22 @@ def simulate(case, stiffness, damping, *, start=None, chosen=None, form="joint",
     rollout._output.torch.fill_(torch.nan)
     first = None if start is None else torch.tensor(start, dtype=torch.float64).reshape(1, len(picked), 1, 2)
     return rollout(torch.tensor([values], dtype=torch.float64), first)[0].double().numpy().copy()
+
+
+def held(n=200, force=FORCE):
+    """Return a force that rises in 0.4 s and stays."""
+    return np.interp(np.arange(n), [5, 25], [0.0, 1.0])[:, None] * force
+
+
+def stick(case, damping=DS, **on):
+    """Simulate a stick with everything but the trunk compiled in; `KS` and a damper hold it."""
+    return simulate(case, KS, damping, form="branch", without=("base_compliance",), **on)
+
+
+def settled(out):
+    """Return the displacement at the end, at rest there."""
+    assert np.abs(out[-1, 3:]).max() < 2e-3
+    return out[-1, :3]
 
 
 def resting(branch, spring, force, *, point=0.4, seen=0.4, more=None, lost=0.0):

@@ -9,7 +9,7 @@ from bough.learn.replay.recording import recordings
 from bough.learn.replay.rollout import Rollout
 from bough.learn.systems.acting import Acting
 from bough.learn.systems.branch import Unknowns
-from oracles.effect_case import resting, simulate, stick_case, swing_case
+from oracles.effect_case import DS, FORCE, KS, held, resting, settled, simulate, stick, stick_case, swing_case
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk
@@ -255,25 +255,6 @@ def test_force_bias_and_scale_undo_the_sensor(tmp_path):
 
 # ---- a stick in space -----------------------------------------------------------------------------------------------
 
-KS, DS = 20.0, 0.4
-FORCE = np.array([2.0, -3.0, 1.5])
-
-
-def held(n=200, force=FORCE):
-    """Return a force that rises in 0.4 s and stays."""
-    return np.interp(np.arange(n), [5, 25], [0.0, 1.0])[:, None] * force
-
-
-def stick(case, damping=DS, **on):
-    """Simulate a stick with everything but the trunk compiled in; `KS` and a damper hold it."""
-    return simulate(case, KS, damping, form="branch", without=("base_compliance",), **on)
-
-
-def settled(out):
-    """Return the displacement at the end, at rest there."""
-    assert np.abs(out[-1, 3:]).max() < 2e-3
-    return out[-1, :3]
-
 
 def test_effects_off_change_nothing(tmp_path):
     """Give the plain kernel's bits with every effect compiled in and all of them neutral."""
@@ -449,87 +430,6 @@ def test_rupture_softens_later_recordings(tmp_path, preload):
     for run, k, expected in ((0, -1, whole), (1, at, whole), (1, -1, broken), (2, 0, sag), (2, -1, broken)):
         np.testing.assert_allclose(out[run, k, :3], expected, atol=5e-4)
     assert (np.linalg.norm(sag) > 2e-3) == bool(preload)
-
-
-@pytest.mark.parametrize(("mobility", "end"), [(1.0, 0.5), (-1.0, 0.0)])
-def test_grasp_slip_ends_with_the_segment(tmp_path, mobility, end):
-    """Slide to the tip or to the base whatever the force's direction, rest as if held there; begin anew in the next."""
-    case = stick_case(tmp_path / "c", [held(400), held(400, -FORCE)])
-    on = {"grasp_slip": {"mobility_mpNs": mobility, "least_N": 0.05}}
-    out = stick(case, **on)
-    for run, force in zip(out, (FORCE, -FORCE), strict=True):
-        at_end = resting(case, lambda phi: -KS * phi, lambda R, f=force: f, point=end, seen=end)
-        np.testing.assert_allclose(settled(run), at_end, atol=1e-4)
-    alone = simulate(case, KS, DS, form="branch", without=("base_compliance",), chosen=recordings(case)[1:], **on)
-    assert (alone[0] == out[1]).all()
-
-
-@pytest.mark.parametrize("mobility", [0.01, -0.02])
-def test_grasp_slip_drifts_while_held_and_stays(tmp_path, mobility):
-    """Slide by the integral of mobility (|F| - least), at rest on the way as if held there, and stay when let go."""
-    least, size = 2.0, np.linalg.norm(FORCE)
-    force = np.where(np.arange(200)[:, None] < 126, held(), 0.0)
-    case = stick_case(tmp_path / "c", [force], opened=[(2.52, 3.98)])
-    out = stick(case, grasp_slip={"mobility_mpNs": mobility, "least_N": least})[0]
-    t = case.trajectories[0].t
-
-    def slide(until):
-        """Integrate the excess over a rise of 0.4 s that ends at 0.5 s, a hold, and a fall of one sample from 2.5 s."""
-        over = size - least
-        ramps = 0.4 + (0.02 if until > 2.5 else 0.0)
-        return mobility * over * (ramps * over / (2 * size) + min(until, 2.5) - 0.5)
-
-    for k in (50, 80, 120):
-        at = 0.4 + slide(t[k])
-        expected = resting(case, lambda phi: -KS * phi, lambda R: FORCE, point=at, seen=at)
-        # the stick lags its rest by D / K = 20 ms of the slide
-        np.testing.assert_allclose(out[k, :3], expected, atol=0.02 * abs(mobility) * (size - least))
-        rate = (out[k + 1, :3] - out[k - 1, :3]) / 0.04
-        np.testing.assert_allclose(out[k, 3:], rate, atol=0.01 * np.linalg.norm(rate))
-    # a step on the threshold slides by less than its whole excess; 2.5 ms steps of 0.4 s
-    np.testing.assert_allclose(settled(out), slide(3.98) * case.axis[0], atol=1e-4 * abs(slide(3.98)) + 1e-6)
-
-
-def test_grasp_slip_at_a_rate_that_the_force_does_not_raise(tmp_path):
-    """Slide at mobility times 1 N while the force is beyond half of each recording's largest, large or small."""
-    mobility = -0.02
-    case = stick_case(tmp_path / "c", [held(200) * size for size in (1.0, 0.4)])
-    on = {"mobility_mpNs": mobility, "least_N": 0.0, "least_share": 0.5, "viscous": 0.0}
-    t = case.trajectories[0].t
-    for run, size in zip(stick(case, grasp_slip=on), (1.0, 0.4), strict=True):
-        for k in (80, 180):
-            at = 0.4 + mobility * (t[k] - 0.3)  # half of the force half-way up the rise from 0.1 to 0.5 s
-            expected = resting(case, lambda phi: -KS * phi, lambda R, f=size * FORCE: f, point=at, seen=at)
-            # a step late at the threshold, and 20 ms behind its rest
-            np.testing.assert_allclose(run[k, :3], expected, atol=0.025 * abs(mobility) + 0.02 * abs(mobility))
-
-
-def test_grasp_slip_follows_the_force_along_the_segment(tmp_path):
-    """Slide by the integral of mobility (|F_axis| - least) where the force along the stick points, out and back.
-
-    The stick is so stiff that its axis stays: it leans by F r / K = 1.6 mrad.
-    """
-    mobility, least, along = 0.01, 0.5, 2.0
-    case = stick_case(tmp_path / "c", [held(200) * 0.0], elevation=90.0, azimuth=0.0, gravity=0.0)
-    swing = np.sin(2 * np.pi * np.arange(200) / 100)[:, None]
-    forces = [along * swing * case.axis[0], 3.0 * held(200) / np.linalg.norm(FORCE) * [1.0, 1.0, 0.0]]
-    case = stick_case(tmp_path / "d", forces, elevation=90.0, azimuth=0.0, gravity=0.0)
-    on = {"mobility_mpNs": mobility, "least_N": least, "least_share": 0.0, "viscous": 1.0, "axial": 1.0}
-    out = stick(case, grasp_slip=on)
-    pull = along * np.sin(2 * np.pi * np.linspace(0.0, 3.98, 20000) / 2.0)
-    rate = mobility * np.sign(pull) * np.maximum(np.abs(pull) - least, 0.0)
-    way = np.interp(case.trajectories[0].t, np.linspace(0.0, 3.98, 20000), np.cumsum(rate) * 3.98 / 20000)
-    # forces are held for a sample of 20 ms: a fiftieth of the largest rate for as long
-    np.testing.assert_allclose(out[0, :, :3] @ case.axis[0], way, atol=0.02 * mobility * along)
-    assert way.max() > 20 * 0.02 * mobility * along
-    assert (out[1] == stick(case)[1]).all()  # across the stick it holds
-
-
-def test_grasp_slip_needs_its_least_force(tmp_path):
-    """Give the bits of a grip that holds where the whole force stays below the least."""
-    case = stick_case(tmp_path / "c", [held(60), held(60, -FORCE)])
-    on = {"mobility_mpNs": -1.0, "least_N": 1.001 * np.linalg.norm(FORCE)}
-    assert (stick(case, grasp_slip=on) == stick(case)).all()
 
 
 def test_dry_friction_holds_a_stick_aside(tmp_path):
