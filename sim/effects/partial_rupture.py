@@ -10,6 +10,8 @@ from .registry import Effect, EffectParameter, Law, register
 
 #: Least time that the fibres take to part [s].
 BREAKING = wp.constant(wp.float64(0.05))
+#: Longest time of a break that is named [s]: what takes longer is a drift.
+LONGEST = 0.6
 
 
 @wp.func
@@ -53,7 +55,7 @@ EFFECT = register(
                     "takes_s",
                     "s",
                     0.05,
-                    lambda s: max(0.5 * s.duration, 0.1),
+                    LONGEST,
                     neutral=0.05,
                     scale="log",
                     tries=lambda s: [0.05],
