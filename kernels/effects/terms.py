@@ -30,15 +30,15 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from ..lanes.algebra import add, add_cross, cross, div, half_angle_log, mul, rotate, sub
+from ..lanes.algebra import add, add_cross, cross, div, log_factors, mul, rotate, sub
 from ..lanes.real import fma, real, where_neg
 from ..tree.articulated import (
     PRISMATIC,
     SPHERICAL,
     advance_links,
     fold_link,
-    held_along,
     held_at,
+    held_of,
     own_force,
     own_inertia,
     own_moment,
@@ -412,9 +412,11 @@ def joint_state(kind: int, q: Any, w: Any, preload: Any, stiffness: Any, time: A
     rate = type(w)(w.x, o, o)
     held = preload
     if kind == SPHERICAL:
-        angle = type(w)(q.x, q.y, q.z) * half_angle_log(q)
+        v = type(w)(q.x, q.y, q.z)
+        f, g = log_factors(q)
+        angle = v * f
         rate = w
-        held = held_along(preload, q)
+        held = held_of(preload, v, f, g)
     return type(like)(angle, rate, held, stiffness, time, real(h, o))
 
 

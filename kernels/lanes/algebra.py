@@ -277,17 +277,23 @@ def renormalised(q: Any):
 
 
 @wp.func
-def half_angle_log(q: Any):
-    """Factor c with log(q) = c (q.x, q.y, q.z), the rotation vector of the short way round.
-
-    With s = sign(w): angle = 4 atan(t), t = |v| / (1 + |w|) <= 1, so c = 4 s atan(t)/t / (1 + |w|). No branch, no
-    singularity, and the same value for q and -q.
-    """
+def quarter_turn(q: Any):
+    """s / (1 + |w|), s = sign(w), and u = t^2 of a turn q = (w, v): t = |v| / (1 + |w|) <= 1 is tan(angle / 4)."""
     one = real(1.0, q.w)
     s = where_neg(q.w, real(-1.0, q.w), one)
     i = one / fma(q.w, s, one)
-    u = fma(q.z, q.z, fma(q.y, q.y, q.x * q.x)) * (i * i)
-    return atan_ratio(u) * (i * s * 4.0)
+    return i * s, fma(q.z, q.z, fma(q.y, q.y, q.x * q.x)) * (i * i)
+
+
+@wp.func
+def half_angle_log(q: Any):
+    """Factor c with log(q) = c (q.x, q.y, q.z), the rotation vector of the short way round.
+
+    The angle is 4 atan(t) (`quarter_turn`), so c = 4 s atan(t)/t / (1 + |w|). No branch, no singularity, and the same
+    value for q and -q.
+    """
+    i, u = quarter_turn(q)
+    return atan_ratio(u) * (i * 4.0)
 
 
 @wp.func
@@ -299,12 +305,9 @@ def log_factors(q: Any):
     With A = atan(t)/t as in `half_angle_log` and u = t^2, f w / 2 = A (1 - u), so that no difference vanishes in
     g = (A - (A - 1) / u) / (1 + |w|)^2.
     """
-    one = real(1.0, q.w)
-    s = where_neg(q.w, real(-1.0, q.w), one)
-    i = one / fma(q.w, s, one)
-    u = fma(q.z, q.z, fma(q.y, q.y, q.x * q.x)) * (i * i)
+    i, u = quarter_turn(q)
     ratio = atan_ratio(u)
-    return ratio * (i * s * 4.0), (ratio - atan_excess(u)) * (i * i)
+    return ratio * (i * 4.0), (ratio - atan_excess(u)) * (i * i)
 
 
 @wp.func

@@ -66,21 +66,18 @@ COSINE = wp.constant(
 
 
 @wp.func
-def series_atan(u: Any):
-    """atan(x)/x, u = x^2 in [0, 1], by Horner's rule."""
+def series_atan_excess(u: Any):
+    """(atan(x)/x - 1) / u, u = x^2 in [0, 1], by Horner's rule: the polynomial without its last coefficient."""
     y = real(ATAN[0], u)
-    for k in range(1, 10):
+    for k in range(1, 9):
         y = fma(y, u, real(ATAN[k], u))
     return y
 
 
 @wp.func
-def series_atan_excess(u: Any):
-    """(atan(x)/x - 1) / u, u = x^2 in [0, 1]: the same polynomial without its last coefficient."""
-    y = real(ATAN[0], u)
-    for k in range(1, 9):
-        y = fma(y, u, real(ATAN[k], u))
-    return y
+def series_atan(u: Any):
+    """atan(x)/x, u = x^2 in [0, 1]."""
+    return fma(series_atan_excess(u), u, real(ATAN[9], u))
 
 
 @wp.func

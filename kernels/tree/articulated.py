@@ -196,29 +196,25 @@ def skew(v: Any, like: Any):
 
 
 @wp.func(inline=True)
-def held_along(P: Any, q: Any):
-    """Torque of a ball joint's pre-load P at a turn q, in the link's axes: the force of the energy -P.phi, phi = log q.
-
-    J^-T P of the right Jacobian of phi (`log_factors`): what a spring that is strained by P / K at rest adds to -K phi,
-    but for the square of that strain. A torque that is constant in the link's axes is the force of no energy.
-    """
-    f, g = log_factors(q)
-    return held_of(P, type(P)(q.x, q.y, q.z), f, g)
-
-
-@wp.func(inline=True)
 def held_of(P: Any, v: Any, f: Any, g: Any):
-    """J^-T P = P - f/2 v x P + g v x (v x P)."""
+    """Torque of a ball joint's pre-load P at a turn (w, v), link's axes: the force of the energy -P.phi, phi = f v.
+
+    J^-T P = P - f/2 v x P + g v x (v x P) of the right Jacobian of phi (`log_factors`): what a spring that is strained
+    by P / K at rest adds to -K phi, but for the square of that strain. A torque that is constant in the link's axes is
+    the force of no energy.
+    """
     turned = cross(v, P)
     return add_scaled(sub_scaled(P, turned, real(0.5, f) * f), cross(v, turned), g)
 
 
 @wp.func(inline=True)
 def held_at(e: int, i: int, m: Any, x: Any, P: Any):
-    """Effort of a pre-load P at a joint's present coordinate: `held_along` at a ball joint, else P as it is."""
+    """Effort of a pre-load P at a joint's present coordinate: `held_of` at a ball joint, else P as it is."""
     out = type(P)(P.x, P.y, P.z)
     if m.kind[e, i] == SPHERICAL:
-        out = held_along(P, x.coordinate[e, i])
+        q = x.coordinate[e, i]
+        f, g = log_factors(q)
+        out = held_of(P, type(P)(q.x, q.y, q.z), f, g)
     return out
 
 

@@ -21,14 +21,14 @@ from typing import Any
 
 import warp as wp
 
-from ..lanes.algebra import add, add_cross, add_scaled, dot, half_angle_log, mul, rotate, sub, unrotate
+from ..lanes.algebra import add, add_cross, add_scaled, dot, log_factors, mul, rotate, sub, unrotate
 from ..lanes.real import SOURCE, real
 from .articulated import (
     FIXED,
     PRISMATIC,
     REVOLUTE,
     SPHERICAL,
-    held_along,
+    held_of,
     own_force,
     own_inertia,
     own_moment,
@@ -96,8 +96,11 @@ def joint_effort(e: int, row: int, i: int, m: Any, x: Any, s: Any, qdd: Any, mom
     o = real(0.0, q.x)
     effort = type(moment)(o, o, o)
     if kind == SPHERICAL:
-        phi = type(moment)(q.x, q.y, q.z) * half_angle_log(q)
-        sprung = add_scaled(unrotate(s.pose[row, i], moment), phi, stiffness) - held_along(m.preload[e, i], q)
+        turn = type(moment)(q.x, q.y, q.z)
+        f, g = log_factors(q)
+        sprung = add_scaled(unrotate(s.pose[row, i], moment), turn, f * stiffness) - held_of(
+            m.preload[e, i], turn, f, g
+        )
         effort = add_scaled(add_scaled(sprung, v, m.damping[e, i]), qdd, m.armature[e, i])
     elif kind != FIXED:
         axis = rotate(s.pose[row, i], m.axis[e, i])

@@ -195,7 +195,7 @@ def _relaxed(tree: Tree) -> Array:
 def _strained(tree: Tree, torque: Array) -> Array:
     """Pre-loads [L, 3] that act with joint forces [L, 3] at joint zero, where a ball is turned by phi from its rest.
 
-    A ball's pre-load P acts as J^-T P (`kernels.tree.articulated.held_along`), J the right Jacobian of the rotation
+    A ball's pre-load P acts as J^-T P (`kernels.tree.articulated.held_of`), J the right Jacobian of the rotation
     vector phi:  J^T = 1 + (1 - cos|phi|) / |phi|^2 [phi] + (|phi| - sin|phi|) / |phi|^3 [phi]^2.
     """
     phi = -_relaxed(tree)

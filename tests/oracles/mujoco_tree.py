@@ -86,10 +86,9 @@ def trajectory(tree: Tree, qpos, dt: float, steps: int, substeps: int = 1) -> np
     data.qpos[:] = qpos
     out = np.empty((steps, tree.num_links, 3))
     for k in range(steps):
-        for _ in range(substeps if tree.preload.any() else 0):
+        for _ in range(substeps):
             hold(tree, model, data)
             mujoco.mj_step(model, data)
-        mujoco.mj_step(model, data, 0 if tree.preload.any() else substeps)
         if not (np.isfinite(data.qpos).all() and np.abs(data.qvel).max() < np.pi / model.opt.timestep):
             return None
         mujoco.mj_kinematics(model, data)
