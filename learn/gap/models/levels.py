@@ -131,23 +131,20 @@ def _exchanged(contest: Contest, model: Model, candidate: int, other: int, alone
     if len(model.members) == 1:
         return _at(contest, alone, alone.members[0], other)[1]
     own = _without(contest, model.fit.batch, [candidate])
-    old, new = (list(contest.candidates[k].columns) for k in (alone.members[0], other))
+    return _placed(contest, own, other, alone.fit.batch, alone.members[0])
+
+
+def _placed(contest: Contest, own: Batch, other: int, source: Batch, candidate: int) -> Batch:
+    """Add a candidate to models, with the values that another one of its law has in ``source``, inside its boxes."""
+    old, new = (list(contest.candidates[k].columns) for k in (candidate, other))
     own.active[:, new] = True
-    own.free[:, new] = _inside(contest, alone.fit.batch.free[:, old], new)
+    own.free[:, new] = torch.maximum(torch.minimum(source.free[:, old], contest.high[new]), contest.low[new])
     return own
-
-
-def _inside(contest: Contest, free: torch.Tensor, columns: list[int]) -> torch.Tensor:
-    """Return values of columns inside their boxes."""
-    return torch.maximum(torch.minimum(free, contest.high[columns]), contest.low[columns])
 
 
 def _at(contest: Contest, model: Model, candidate: int, other: int) -> tuple[tuple[int, ...], Batch]:
     """Return the members and the start of a model, a candidate's law moved to that of another joint."""
-    own = _without(contest, model.fit.batch, [candidate])
-    old, new = (list(contest.candidates[k].columns) for k in (candidate, other))
-    own.active[:, new] = True
-    own.free[:, new] = _inside(contest, model.fit.batch.free[:, old], new)
+    own = _placed(contest, _without(contest, model.fit.batch, [candidate]), other, model.fit.batch, candidate)
     return tuple(sorted((set(model.members) - {candidate}) | {other})), own
 
 
