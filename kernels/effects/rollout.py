@@ -56,6 +56,9 @@ GIVEN = wp.constant(8)
 PEAK = wp.constant(11)
 OFF = wp.constant(12)
 
+#: Least time constant of a tracker, in samples, so that powers of a sample over it stay finite.
+LEAST_LAG = wp.constant(wp.float64(1.0e-3))
+
 #: Steps that seek rest under a load, each Newton's with 5/4 of the joints' stiffness, and their length [s].
 SETTLING = 16
 SETTLING_STEP = wp.constant(wp.float64(1.0))
@@ -68,13 +71,15 @@ EVERYTHING = wp.constant(1)
 class Slots:
     """Slots of what the replay itself carries out, -1 for what a kernel is built without, and places in ``active``.
 
-    ``slip_row`` is the row of the grip's memory. All are constants of a kernel.
+    ``slip_row`` and ``delay_row`` are the first rows of the grip's and the tracker's memory. All are constants of a
+    kernel.
     """
 
     tip: int
     slip: int
     slip_row: int
     delay: int
+    delay_row: int
     lasting: int
     holding: int
     resting: int
@@ -215,9 +220,34 @@ def slid(e: int, at: Slots, fx: Any, force: Any, axis: Any, grip: wp.array2d(dty
 
 
 @wp.func
-def look(e: int, row: int, place: int, k: int, at: Slots, s: Any, fx: Any, nominal: Any, along: Any, start: Any,
-         output_out: Any):  # fmt: skip
-    """Write the displacement and velocity of the grasp point as sample k."""
+def followed(e: int, row: int, is_first: bool, fx: Any, x: Any, slow: Any, dt: Any):
+    """Return what a tracker of first order reads of x: T y' = x - y, y = x at first, x linear between samples.
+
+    y = x - (1 - a) T x' + a (y - x at the last sample), a = exp(-u), u = dt / T; the exponential is
+    1 / (1 + u + u^2/2 + u^3/6 + u^4/24), within 0.012. A ramp is late by T whatever a is.
+    """
+    k = row * fx.stride
+    o = real(0.0, slow)
+    one = real(1.0, o)
+    least = real(LEAST_LAG, o) * dt
+    t = where_neg(slow - least, least, slow)
+    u = dt / t
+    more = fma(u, fma(u, fma(u, real(1.0 / 24.0, o), real(1.0 / 6.0, o)), real(0.5, o)), one)
+    a = one / fma(u, more, one)
+    gone = x - fx.memory[e, k]
+    late = fx.memory[e, k + 1] - fx.memory[e, k]
+    y = x - gone * ((one - a) * t / dt) + late * a
+    if is_first:
+        y = x
+    fx.memory[e, k] = x
+    fx.memory[e, k + 1] = y
+    return y
+
+
+@wp.func
+def look(e: int, row: int, place: int, k: int, is_first: bool, at: Slots, s: Any, fx: Any, nominal: Any, along: Any,
+         start: Any, dt: Any, output_out: Any):  # fmt: skip
+    """Write the displacement and velocity of the grasp point, as the tracker reads them, as sample k."""
     o = real(0.0, nominal.x)
     arm = rotate(s.pose[row, place], nominal)
     slip = type(nominal)(o, o, o)
@@ -228,6 +258,10 @@ def look(e: int, row: int, place: int, k: int, at: Slots, s: Any, fx: Any, nomin
         slip = axis * z.y
     p = s.accel[row, place] + arm - start
     v = add_cross(s.alpha[row, place], s.spin[row, place], arm) + slip
+    if is_on(e, at.delay, fx):
+        slow = fx.parameter[e, (at.delay * PARAMETERS + 1) * fx.stride]
+        p = followed(e, at.delay_row, is_first, fx, p, slow, dt)
+        v = followed(e, at.delay_row + 1, is_first, fx, v, slow, dt)
     write_point(e, k, p, v, output_out)
 
 
@@ -356,7 +390,8 @@ def replay_samples(
         k = i - before
         locate_links(e, row, m, x, s)
         if written >= 0 and k >= 0:
-            look(e, row, place, written + k, at, s, fx, nominal, along, start, output_out)
+            dt = real(h * wp.float64(substeps), start.x)
+            look(e, row, place, written + k, k == 0, at, s, fx, nominal, along, start, dt, output_out)
             if track == 1:
                 for link in range(m.count[e] + 1):
                     coordinate_out[e, (written + k) * fx.stride + link] = x.coordinate[e, link]
@@ -425,7 +460,8 @@ def kept_rows(terms: tuple[Term, ...]) -> Any:
 def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamespace:
     """Return ``point`` and ``joint`` as `rollout.rollout_kernels` does, with the given terms in the step.
 
-    Beside the laws, the replay itself carries out ``time_delay`` (lag [s]), ``grasp_slip`` (see `slid`) and
+    Beside the laws, the replay itself carries out ``time_delay`` (lag and, of a branch's tracker, time constant [s], see
+    `shifted` and `followed`), ``grasp_slip`` (see `slid`) and
     ``tip_mass`` (mass [kg]); parameters stand at their term's slot.
     """
     return SimpleNamespace(point=_point_kernel(width, precision, terms), joint=_joint_kernel(width, precision, terms))
@@ -445,7 +481,7 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
     Effects, ForceState = t.Effects, t.ForceState
     tip, slip, delay = (slot_of(terms, kind) for kind in ("tip_mass", "grasp_slip", "time_delay"))
     lasting, holding, preceding, resting = (len(terms) + GROUPS.index(k) for k in GROUPS[2:])
-    slip_row = memory_row(terms, max(0, slip))
+    slip_row, delay_row = (memory_row(terms, max(0, slot)) for slot in (slip, delay))
 
     @wp.kernel(enable_backward=False, module="unique")
     def point(
@@ -459,7 +495,7 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
-        at = Slots(tip, slip, slip_row, delay, lasting, holding, resting, preceding)
+        at = Slots(tip, slip, slip_row, delay, delay_row, lasting, holding, resting, preceding)
         forget(e, kept, EVERYTHING, m, fx)
         for j in range(first_of[e], last_of[e]):
             place = grasped[j]

@@ -21,6 +21,9 @@ from .system import Parameter, Write
 #: Name under which `Write` knows the kernels' array of effect parameters.
 FIELD = "effect"
 
+#: The law by which a trunk that gives way is stiffer in one plane: that of a joint of a branch.
+TRUNK_BENDS = "anisotropic_stiffness"
+
 
 @dataclass(frozen=True)
 class Acting:
@@ -154,10 +157,15 @@ class ActingSet:
         return law.settles or (law.persistent and entry.place % 6 == 0)
 
     def switched_on(self, columns: torch.Tensor) -> torch.Tensor:
-        """Return whether some parameter of each effect is not neutral, [sets, names]."""
-        of = torch.tensor([entry.place // 6 for entry in self.entries], dtype=torch.long, device=columns.device)
+        """Return whether some parameter of each effect is not neutral, [sets, names]; a trunk's plane is a law's own."""
+        of = torch.tensor([self._switches(e) for e in self.entries], dtype=torch.long, device=columns.device)
         counts = columns.new_zeros(len(columns), len(self.names), dtype=torch.long)
         return counts.index_add_(1, of, self._changed(columns).long()) > 0
+
+    def _switches(self, entry: Entry) -> int:
+        """Return the place among the names of the law that an entry switches on."""
+        own = self.names[entry.place // 6]
+        return self.names.index(TRUNK_BENDS if (own, entry.spec.name) == ("base_compliance", "relative") else own)
 
     def _changed(self, columns: torch.Tensor) -> torch.Tensor:
         """Return which entries are not neutral, [sets, entries]."""

@@ -7,10 +7,11 @@ from dataclasses import fields
 import numpy as np
 import torch
 
+from ...kernels.effects.terms import PARAMETERS
 from ...sim.engine.model import Model
 from ...sim.trees.stiffness import hold_rest_pose
 from ...sim.trees.tree import Joint, Tree
-from .acting import ActingSet
+from .acting import FIELD, TRUNK_BENDS, ActingSet
 from .system import Write
 
 #: Armature of a pivot without compliance [kg m^2]: it turns by 1e-9 rad where a branch turns by one.
@@ -41,7 +42,10 @@ def on_pivot(tree: Tree, below: float, gravity: float) -> Tree:
 
 
 def write_pivot(acting: ActingSet, columns: torch.Tensor, least: float, model: Model, write: Write) -> None:
-    """Write the pivot's spring, damper and inertia or lock; ``least`` is a ball joint's least relaxation time [s]."""
+    """Write the pivot's spring, damper and inertia or lock; ``least`` is a ball joint's least relaxation time [s].
+
+    A trunk that is stiffer in one plane obeys the law of such a joint (`TRUNK_BENDS`).
+    """
     compliance = acting.value("base_compliance", "compliance_radpNm", columns)
     relaxation = acting.value("base_compliance", "relaxation_s", columns)
     inertia = acting.value("base_compliance", "inertia_kgm2", columns)
@@ -54,3 +58,6 @@ def write_pivot(acting: ActingSet, columns: torch.Tensor, least: float, model: M
     write("armature", place, 0, torch.where(free, 0.0, LOCKED).to(spring.dtype))
     for c, own in enumerate((inertia, inertia, inertia * twist)):  # about the level axes and about the trunk's own
         write("inertia", place, c, torch.where(free, own, 0.0).to(spring.dtype))
+    row, stride = PARAMETERS * acting.names.index(TRUNK_BENDS), model.places + 1
+    for n, name in enumerate(("relative", "axis_rad")):
+        write(FIELD, (row + n) * stride + place, 0, acting.value("base_compliance", name, columns))

@@ -11,22 +11,32 @@ from .registry import Effect, EffectParameter, Law, register
 
 @wp.func
 def force_scale(g: Any, p: Any):
+    """F_k = F_s,k / s_k, s_y = s y, s_z = s z, s_x = s / (y z): s is the mean of the three, of their logarithms."""
+    one = real(1.0, p.a)
+    return type(g.force)(g.force.x * p.b * p.c / p.a, g.force.y * (one / (p.a * p.b)), g.force.z * (one / (p.a * p.c)))
+
+
+@wp.func
+def effort_scale(g: Any, p: Any):
     """F = F_s / s."""
     return g.force * (real(1.0, p.a) / p.a)
 
 
-_SCALE = (EffectParameter("scale", "1", 0.5, 2.0, 1.0, "log"),)
+_SCALE = EffectParameter("scale", "1", 0.5, 2.0, 1.0, "log")
+_OF_AXES = tuple(EffectParameter(f"relative_{axis}", "1", 0.4, 2.5, 1.0, "log", optional=True) for axis in "yz")
 
 EFFECT = register(
     Effect(
         name="force_scale",
         plain="a wrong scale of the force sensor",
-        summary="the sensor reads s times the force that acts",
-        source="definition; BIPM, International Vocabulary of Metrology (2012), 2.18",
+        summary="the sensor reads s times the force that acts; a branch's in world axes y and z relative_y s and relative_z"
+        " s times, so that s is the geometric mean of the three gains",
+        source="definition; BIPM, International Vocabulary of Metrology (2012), 2.18; gains of axes: Voyles, Morrow &"
+        " Khosla 1997, J. Dyn. Syst. Meas. Control 119:229",
         signature="all stiffnesses and dampers look s times too large against the mass and weight: swings are off",
         mistaken_for=("tip_mass", "cubic_stiffness"),
         probe="free swings after a release beside slow pushes",
-        branch=Law("force", _SCALE, force_scale, per_joint=False),
-        joint=Law("force", _SCALE, force_scale),
+        branch=Law("force", (_SCALE, *_OF_AXES), force_scale, per_joint=False),
+        joint=Law("force", (_SCALE,), effort_scale),
     )
 )

@@ -24,7 +24,8 @@ def plastic_set(j: Any, p: Any, r: Any):
 
     The radial return of plasticity with linear hardening H, phi_p = s b, s = K / (K + H). The share i of H is isotropic
     (h = i (1 - s)), the rest kinematic; both count in s, so that the first push looks the same whatever i. The share m
-    of the return is about each axis by itself, max(0, |d_k| - y - h c_k).
+    of the return is about each axis by itself, max(0, |d_k| - y - h c_k). What flows goes at the rate of that excess
+    over T (Perzyna's overstress), implicit: of a step's return the part dt / (dt + T).
     """
     o = real(0.0, p.a)
     one = real(1.0, o)
@@ -33,7 +34,7 @@ def plastic_set(j: Any, p: Any, r: Any):
     c = r.second
     reach = norm(d)
     joint = beyond(reach, p.b + h * norm(c)) / reach * (one - p.d)
-    on = where_neg(o - p.a, one, o)
+    on = where_neg(o - p.a, one, o) * (j.step / (j.step + p.e))
     moved = type(d)(
         on * fma(joint, d.x, p.d * beyond(d.x, fma(h, c.x, p.b))),
         on * fma(joint, d.y, p.d * beyond(d.y, fma(h, c.y, p.b))),
@@ -50,6 +51,7 @@ _PARAMETERS = (
     EffectParameter("isotropic", "1", 0.0, 1.0, tries=1, optional=True),
 )
 _SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True)
+_FLOW = EffectParameter("flow_s", "s", 0.0, lambda s: s.duration, tries=lambda s: [0.0], optional=True)
 
 EFFECT = register(
     Effect(
@@ -57,12 +59,14 @@ EFFECT = register(
         plain="bending that stays",
         summary="beyond an angle y from where it last came to rest a share s of the turn stays, for good; what has"
         " stayed moves y (kinematic hardening) or, in the share i, widens it (isotropic); at a ball joint a share of it"
-        " may act about each axis of the segment by itself",
-        source="Simo & Hughes, Computational Inelasticity (1998), box 1.5 (linear isotropic and kinematic hardening)",
+        " may act about each axis of the segment by itself, and a branch's may come at once or flow, by e-folds of"
+        " flow seconds",
+        source="Simo & Hughes, Computational Inelasticity (1998), box 1.5 (linear isotropic and kinematic hardening);"
+        " flow by the overstress: Perzyna 1966, Adv. Appl. Mech. 9:243",
         signature="the branch rests elsewhere after a large push, and later small pushes are as before",
         mistaken_for=("hysteresis_boucwen", "dry_friction", "partial_rupture"),
         probe="a small push, a large one, the same small push again, with the gripper open in between",
-        branch=Law("joint", (*_PARAMETERS, _SEPARATE), plastic_set, memory=2, persistent=True),
+        branch=Law("joint", (*_PARAMETERS, _SEPARATE, _FLOW), plastic_set, memory=2, persistent=True),
         joint=Law("joint", _PARAMETERS, plastic_set, memory=2),
     )
 )

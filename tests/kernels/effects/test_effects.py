@@ -12,6 +12,7 @@ from bough.learn.systems.branch import Unknowns
 from oracles.effect_case import DS, FORCE, KS, held, resting, settled, simulate, stick, stick_case, swing_case
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from scipy.signal import lfilter
 from scipy.special import ellipk
 
 J, K, D = 2.0, 80.0, 1e-3
@@ -251,6 +252,37 @@ def test_force_bias_and_scale_undo_the_sensor(tmp_path):
     on = {"force_bias": {"effort_N": 0.7}, "force_scale": {"scale": 1.3}}
     undone = simulate(read, K, 2.0, start=[0, 0], **on)
     np.testing.assert_allclose(undone, simulate(true, K, 2.0, start=[0, 0]), atol=3e-6)
+
+
+def test_gains_of_axes_undo_the_sensor(tmp_path):
+    """Read 1.2 times the force, of y and z 0.8 and 1.5 times that, of x what makes 1.2 their geometric mean."""
+    force = held(120) * np.array([1.0, -0.8, 0.6])
+    gains = 1.2 * np.array([1 / (0.8 * 1.5), 0.8, 1.5])
+    true, read = (stick_case(tmp_path / name, [f]) for name, f in (("a", force), ("b", gains * force)))
+    undone = stick(read, force_scale={"scale": 1.2, "relative_y": 0.8, "relative_z": 1.5})
+    wanted = stick(true)
+    np.testing.assert_allclose(undone, wanted, atol=3e-6)
+    assert np.abs(stick(read) - wanted).max() > 0.1 * np.abs(wanted).max()
+
+
+@pytest.mark.parametrize("samples", [0.2, 1.0, 4.0])
+def test_a_slow_tracker_is_a_filter_of_first_order(tmp_path, samples):
+    """Read displacement and velocity through a lag of first order, each recording anew.
+
+    `lfilter` has the closed form of what is linear between samples; ours is without the exponential, to 0.012 of it.
+    """
+    dt = 0.02
+    case = stick_case(tmp_path / "c", [held(120), held(120, -FORCE)], dt=dt)
+    slow = samples * dt
+    out, plain = stick(case, time_delay={"slow_s": slow}), stick(case)
+    a = np.exp(-1 / samples)
+    new, old = 1 - (1 - a) * samples, (1 - a) * samples - a
+    first = plain[:, :1]
+    wanted = first + lfilter([new, old], [1, -a], plain - first, axis=1)
+    for own in (slice(0, 3), slice(3, 6)):
+        most = np.abs(plain[..., own]).max()
+        np.testing.assert_allclose(out[..., own], wanted[..., own], atol=0.012 * most)
+        assert np.abs(plain[..., own] - wanted[..., own]).max() > 0.02 * samples * most
 
 
 # ---- a stick in space -----------------------------------------------------------------------------------------------
@@ -500,14 +532,14 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
     case = stick_case(tmp_path / "c", [held(60), held(60, -FORCE)])
     at_joint, elsewhere = ("hysteresis_boucwen", "plastic_set"), ("wind_gust", "steady_wind", "time_delay", "tip_mass")
     acting = (*(Acting(n, 0) for n in at_joint), *(Acting(n) for n in elsewhere))
-    values = torch.tensor(
-        [[KS, DS, 0.3, 0.05, 1.4, 0.7, 0.3, 0.4, 0.05, 0.5, 0.3, 20, 30, -20, 5, 0.9, 0.3, 10, 5, -5, 0.6, 0.01, 0.02]]
-    )
+    at_values = [0.3, 0.05, 1.4, 0.7, 0.3, 0.4, 0.05, 0.5, 0.3, 0.1]
+    other_values = [20.0, 30.0, -20.0, 5.0, 0.9, 0.3, 10.0, 5.0, -5.0, 0.6, 0.01, 0.015, 0.02]
+    values = torch.tensor([[KS, DS, *at_values, *other_values]])
     outs = []
     for width in (1, 8):
         monkeypatch.setattr("bough.learn.replay.worlds.simd_width", lambda w=width: w)
         rollout = Rollout(case, recordings(case), 2, unknowns=Unknowns(effects=acting))
         order = [p.name for p in rollout.system.parameters]
-        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 23
+        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 25
         outs.append(rollout(values.repeat(2, 1)).clone())
     assert (outs[0] == outs[1]).all() and torch.isfinite(outs[0]).all()

@@ -15,22 +15,25 @@ CLOSE = 400 * 0.5 * 2.0**-24  # rad: as many sums of angles below 0.5 rad, each 
 
 
 @wp.kernel(module="unique")
-def turn(path_in: wp.array(dtype=wp.vec3), s: float, y: float, i: float, m: float, torque_out: wp.array(dtype=wp.vec3)):
-    """Turn a joint of unit stiffness along a path and write the law's torque."""
+def turn(
+    path_in: wp.array(dtype=wp.vec3), s: float, y: float, i: float, m: float, flow: float, h: float,
+    torque_out: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    """Turn a joint of unit stiffness along a path in steps of h and write the law's torque."""
     none, b, c = Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0)
     for k in range(path_in.shape[0]):
-        j = JointState(Vec(path_in[k][0], path_in[k][1], path_in[k][2]), none, none, 1.0, 0.0, 0.0)
-        r = LAW(j, Parameters(s, y, i, m, 0.0, 0.0), LongResponse(none, b, c, 0.0, 0.0))
+        j = JointState(Vec(path_in[k][0], path_in[k][1], path_in[k][2]), none, none, 1.0, 0.0, h)
+        r = LAW(j, Parameters(s, y, i, m, flow, 0.0), LongResponse(none, b, c, 0.0, 0.0))
         b = r.memory
         c = r.second
         torque_out[k] = wp.vec3(r.torque.x, r.torque.y, r.torque.z)
 
 
-def turned(path, s, y, i, m):
-    """Return what the law adds to the torque along a path [samples, 3]."""
+def turned(path, s, y, i, m, flow=0.0, h=1e-3):
+    """Return what the law adds to the torque along a path [samples, 3], a sample every h."""
     given = wp.array(path, dtype=wp.vec3, device="cpu")
     out = wp.full(len(path), wp.vec3(np.nan, np.nan, np.nan), dtype=wp.vec3, device="cpu")
-    wp.launch(turn, dim=1, inputs=[given, s, y, i, m], outputs=[out], device="cpu")
+    wp.launch(turn, dim=1, inputs=[given, s, y, i, m, flow, h], outputs=[out], device="cpu")
     return out.numpy()
 
 
@@ -89,6 +92,22 @@ def test_a_round_set_knows_no_axes():
 def test_off_it_gives_nothing():
     """Give no torque at a share of zero."""
     assert (turned(waves(np.random.default_rng(5)), 0.0, 0.06, 0.5, 0.5) == 0.0).all()
+
+
+def test_a_set_that_flows_comes_by_e_folds():
+    """Turn a joint at once beyond yield and hold it: b = (phi - y) (1 - exp(-t / T)), and nothing back below yield.
+
+    Implicit steps of T / 200 are late by at most h / (2 T) of exp(-t / T) t / T, which is 0.37 at most.
+    """
+    s, y, far, flow, n = 0.3, 0.06, 0.2, 0.5, 600
+    along = np.array([0.6, -0.64, 0.48])
+    path = np.where(np.arange(2 * n)[:, None] < n, far, 0.5 * far) * along
+    h = flow / 200
+    set_ = turned(path, s, y, 0.0, 0.0, flow, h) @ along
+    t = h * np.arange(1, n + 1)
+    wanted = s * (far - y) * -np.expm1(-t / flow)
+    np.testing.assert_allclose(set_[:n], wanted, atol=s * (far - y) * 0.37 * h / (2 * flow) + CLOSE)
+    np.testing.assert_allclose(set_[n:], set_[n - 1], atol=CLOSE)
 
 
 @pytest.mark.parametrize("isotropic", [0.0, 1.0])

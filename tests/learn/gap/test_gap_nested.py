@@ -141,7 +141,8 @@ def test_what_switches_an_effect_on(small):
     """Switch a force on by all of its components, a spring's law by its strength alone."""
     by_name = {c.name: c for c in small.candidates}
     names = {n: [small.parameters[k].name.split()[-1] for k in switches(small, c)] for n, c in by_name.items()}
-    assert names == {"dry_friction": ["torque_Nm"], "force_scale": ["scale"], "cubic_stiffness": ["cubic_radm2"],
+    assert names == {"dry_friction": ["torque_Nm"], "cubic_stiffness": ["cubic_radm2"],
+                     "force_scale": ["scale", "relative_y", "relative_z"],
                      "force_bias": ["force_x_N", "force_y_N", "force_z_N"]}  # fmt: skip
 
 
@@ -180,7 +181,7 @@ def test_intervals_that_touch_neutral_cover(small):
 def test_the_likelihood_overrules_the_curvature(small, monkeypatch):
     """Take an effect for certain without which noise alone is not left, whatever its curvature says; no other.
 
-    A scale of one gains a chi-squared variable of one degree: above its quantile of 1 - 1e-6 in none of ten.
+    A scale of one, and its axes, gain a chi-squared variable of three degrees: above its quantile of 1 - 1e-6 in none of ten.
     """
     monkeypatch.setattr("bough.learn.gap.models.certain.uncertain", lambda contest, model: model.members)
     for value, seeds in ((0.0, range(10)), (0.1, range(2))):

@@ -27,8 +27,10 @@ from bough.sim.trees.measured import measured_tree
 from bough.sim.trees.stiffness import hold_rest_pose
 from bough.sim.trees.tree import Joint, Tree
 from oracles.arm_case import write_arm
-from oracles.effect_case import simulate, stick_case, swing_case
-from oracles.mujoco_tree import compiled
+from oracles.effect_case import FORCE, held, simulate, stick_case, swing_case
+from oracles.mujoco_tree import compiled, held_torque
+from scipy.optimize import root
+from scipy.spatial.transform import Rotation
 
 KS, DS = 20.0, 0.4
 N, DT = 120, 0.02
@@ -102,9 +104,13 @@ def test_base_compliance_equals_a_chain_of_two(tmp_path, twist):
     unknowns = Unknowns(effects=(Acting("base_compliance"),))
     rollout = Rollout(case, recordings(case), 1, unknowns=unknowns)
     rollout._output.torch.fill_(torch.nan)
-    ours = rollout(torch.tensor([[KS, DS, compliance, inertia, relaxation, twist]]))[0, 0, :, :3].double().numpy()
+    ours = (
+        rollout(torch.tensor([[KS, DS, compliance, inertia, relaxation, twist, 0.0, 0.0]]))[0, 0, :, :3]
+        .double()
+        .numpy()
+    )
     close(ours, by_mujoco(hold_rest_pose(two), 1, push()))
-    locked = rollout(torch.tensor([[KS, DS, 0.0, inertia, 0.02, twist]]))[0, 0, :, :3].double().numpy()
+    locked = rollout(torch.tensor([[KS, DS, 0.0, inertia, 0.02, twist, 0.0, 0.0]]))[0, 0, :, :3].double().numpy()
     plain = Rollout(case, recordings(case), 1)(torch.tensor([[KS, DS]]))[0, 0, :, :3].double().numpy()
     np.testing.assert_allclose(locked, plain, atol=1e-6)  # float32 of a metre
     assert np.abs(ours - plain).max() > 0.1 * np.abs(plain).max()
@@ -158,6 +164,45 @@ def test_grasp_slip_is_the_hidden_simulators(tmp_path, mobility):
     np.testing.assert_allclose(ours[-1, :3], wanted.moved[0, -1], atol=1e-5)  # at rest: the slide alone
 
 
+def test_a_trunk_stiffer_in_one_plane_is_a_joint_that_is(tmp_path):
+    """Rest where a root of the moments puts a stick on a trunk 0.6 m below with a matrix spring, the stick's joint stiff.
+
+    What the stick's own spring of 2e4 N m/rad gives way by is force, lever and lever over it: 0.2 mm.
+    """
+    stiff, compliance, relative, angle = 2e4, 0.02, 1.5, 0.6
+    case = stick_case(tmp_path / "c", [held()])
+    axis = np.array([np.cos(angle), np.sin(angle), 0.0])
+    matrix = (np.eye(3) + relative * np.outer(axis, axis)) / compliance
+    ends = {}
+    for name, more in (("plain", 0.0), ("stiffer", relative)):
+        rollout = Rollout(case, recordings(case), 1, unknowns=Unknowns(effects=(Acting("base_compliance"),)))
+        rollout._output.torch.fill_(torch.nan)
+        values = [stiff, 40.0, compliance, 0.1, 0.05, 1.0, more, angle]
+        ends[name] = rollout(torch.tensor([values], dtype=torch.float64))[0, 0, -1, :3].double().numpy()
+    wanted = on_trunk(case, matrix, FORCE)
+    assert np.linalg.norm(ends["stiffer"] - ends["plain"]) > 0.1 * np.linalg.norm(ends["plain"])
+    np.testing.assert_allclose(ends["stiffer"], wanted, atol=3e-4)
+
+
+def on_trunk(case, matrix, force, below=0.6, held_at=0.4):
+    """Return where a stick that is stiff at its base ends, moved by a force, on a spring [3, 3] ``below`` the base [m]."""
+    axis = case.axis[0]
+    a, b = case.radius[0]
+    com = axis * case.length[0] * (a * a + 2 * a * b + 3 * b * b) / (4 * (a * a + a * b + b * b))
+    up = np.array([0.0, 0.0, below])
+    weight = np.array([0.0, 0.0, -case.gravity * case.mass[0]])
+    preload = -np.cross(up + com, weight)
+
+    def moment(phi):
+        turn = Rotation.from_rotvec(phi)
+        own = turn.apply(held_torque(preload, phi) - matrix @ phi)
+        return own + np.cross(turn.apply(up + com), weight) + np.cross(turn.apply(up + held_at * axis), force)
+
+    turn = Rotation.from_rotvec(root(moment, np.zeros(3), tol=1e-13).x)
+    point = up + held_at * axis
+    return turn.apply(point) - point
+
+
 @pytest.mark.parametrize("form", ["branch", "joint"])
 def test_a_replay_does_not_remember_the_one_before(tmp_path, form):
     """Replay with memories, rates, poses and guards left as a world that blew up leaves them: the same bits."""
@@ -183,14 +228,14 @@ BRANCH_TRUTH = {
     "quadratic_drag": (25.0, 0.4, 0.3),
     "viscoelastic_sls": (0.5, 0.3, 0.4, 0.04),
     "tip_mass": (0.2,),
-    "base_compliance": (0.02, 0.1, 0.02, 0.3),
+    "base_compliance": (0.02, 0.1, 0.02, 0.3, 1.2, 0.7),
     "backlash": (0.03, 0.5, 0.1, 0.3),
-    "plastic_set": (0.4, 0.1, 0.6, 0.5),
+    "plastic_set": (0.4, 0.1, 0.6, 0.5, 0.1),
     "partial_rupture": (0.4, 20.9, 0.5, 0.2),
     "grasp_slip": (-0.05, 0.5, 0.2, 1.0, 0.3),
     "force_bias": (0.2, -0.3, 0.25),
-    "force_scale": (1.3,),
-    "time_delay": (0.03,),
+    "force_scale": (1.3, 1.2, 0.9),
+    "time_delay": (0.03, 0.04),
     "steady_wind": (30.0, -40.0, 20.0, 0.4),
     "wind_gust": (20.0, -15.0, 10.0, 12.0, 0.9, 0.4),
     "gravity_comp_error": (0.15, 0.6),
@@ -248,7 +293,7 @@ def test_truth_is_recovered(stick, name):
     free = free_of(parameters, values)
     log = torch.tensor([p.scale == "log" for p in parameters])
     size = torch.where(log, 0.3, 0.12 * torch.tensor([p.high - p.low for p in parameters]).clamp(max=4 * values.abs()))
-    signs = torch.tensor([[1.0, -1, 1, -1, 1, 1, 1][: len(parameters)], [-1.0, -1, -1, 1, 1, -1, 1][: len(parameters)]])
+    signs = torch.tensor([[1.0, -1, 1, -1, 1, 1, 1, 1], [-1.0, -1, -1, 1, 1, -1, 1, -1]])[:, : len(parameters)]
     starts = torch.cat([free + size * signs, target.log_noise0.expand(2, -1)], 1)
     modes = find_modes(target, starts)
     best = modes.theta[modes.log_posterior.argmax(), : len(parameters)]
