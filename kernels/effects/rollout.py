@@ -460,8 +460,8 @@ def kept_rows(terms: tuple[Term, ...]) -> Any:
 def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamespace:
     """Return ``point`` and ``joint`` as `rollout.rollout_kernels` does, with the given terms in the step.
 
-    Beside the laws, the replay itself carries out ``time_delay`` (lag and, of a branch's tracker, time constant [s], see
-    `shifted` and `followed`), ``grasp_slip`` (see `slid`) and
+    Beside the laws, the replay itself carries out ``time_delay`` (lag and, of a branch's tracker, time constant [s],
+    see `shifted` and `followed`), ``grasp_slip`` (see `slid`) and
     ``tip_mass`` (mass [kg]); parameters stand at their term's slot.
     """
     return SimpleNamespace(point=_point_kernel(width, precision, terms), joint=_joint_kernel(width, precision, terms))

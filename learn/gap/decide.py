@@ -57,6 +57,8 @@ TWICE = 0.97
 KEPT, LOST = 0.6, 0.1
 #: Difference of the information criterion below which two models cannot be told apart.
 TIED = 12.0
+#: Share of the excess by which a law may explain less than one that ends where it becomes this law.
+TURNED = 0.03
 #: Share of its box from an end, on its own scale, within which a parameter is said to be at its bound.
 NEAR = 0.01
 
@@ -93,7 +95,7 @@ class Decision:
 def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
     """Return the verdict, the preferred model and the named effects."""
     models = searched.fitted
-    model = _borne_out(models, chosen(models, settings.max_effects))
+    model = _borne_out(models, _turned_into(models, chosen(models, settings.max_effects)))
     verdict, off = _verdict(base, searched, model, settings.tolerance)
     candidates = models.contest.candidates
     if verdict == "effects":
@@ -117,6 +119,32 @@ def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> 
     off = doubtful(models, model)
     claimed = not off and not stretched(models, model) and known(models, model)
     return "effects" if claimed else "unknown", off
+
+
+def _turned_into(fitted: FittedModels, model: Model) -> Model:
+    """Return the model, or where a law of it ends at what makes it another law, one with that law at its joint.
+
+    The other law must explain as much, to the share by which a law may differ from nature's in its form (`TURNED`).
+    """
+    candidates = fitted.contest.candidates
+    for c in model.members:
+        for name in _becomes(fitted, model, c):
+            place = candidates[c].acting.joint
+            others = [k for k, x in enumerate(candidates) if (x.name, x.acting.joint) == (name, place)]
+            wanted = [set(model.members) - {c} | {k} for k in others]
+            found = [m for m in fitted.of_size(len(model.members)) if set(m.members) in wanted and not m.rests]
+            best = min(found, key=fitted.criterion, default=None)
+            if best is not None and fitted.explained(best) >= fitted.explained(model) - TURNED:
+                return best
+    return model
+
+
+def _becomes(fitted: FittedModels, model: Model, candidate: int) -> list[str]:
+    """Return the names of the laws that a law turns into at the upper ends of its box where its parameters are."""
+    contest, own = fitted.contest, fitted.contest.candidates[candidate]
+    share = (model.fit.batch.free[0] - contest.low) / (contest.high - contest.low)
+    return [s.becomes for k, s in zip(own.columns, own.specs, strict=True)
+            if s.becomes and float(share[k]) >= 1.0 - NEAR]  # fmt: skip
 
 
 def _borne_out(fitted: FittedModels, model: Model) -> Model:

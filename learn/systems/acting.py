@@ -157,7 +157,7 @@ class ActingSet:
         return law.settles or (law.persistent and entry.place % 6 == 0)
 
     def switched_on(self, columns: torch.Tensor) -> torch.Tensor:
-        """Return whether some parameter of each effect is not neutral, [sets, names]; a trunk's plane is a law's own."""
+        """Return whether some parameter of each effect is not neutral, [sets, names]; a trunk's plane is a law."""
         of = torch.tensor([self._switches(e) for e in self.entries], dtype=torch.long, device=columns.device)
         counts = columns.new_zeros(len(columns), len(self.names), dtype=torch.long)
         return counts.index_add_(1, of, self._changed(columns).long()) > 0

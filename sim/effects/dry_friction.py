@@ -75,7 +75,10 @@ def dry_friction_at_joint(j: Any, p: Any, r: Any):
 
 
 _TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")
-_BEND = EffectParameter("bend_rad", "rad", 0.0, lambda s: 0.03 * s.angle, tries=1, optional=True)
+#: Friction that bends by much of the motion before it slips is the spring and slider of hysteresis.
+_BEND = EffectParameter(
+    "bend_rad", "rad", 0.0, lambda s: 0.03 * s.angle, tries=1, optional=True, becomes="hysteresis_boucwen"
+)
 #: Bearings of a pendulum rub with less than a thousandth of what gravity pulls.
 _TORQUE_AT_JOINT = EffectParameter(
     "torque_Nm", "N m", lambda s: 1e-5 * s.torque, lambda s: s.torque, scale="log", tries=4

@@ -29,8 +29,8 @@ EFFECT = register(
     Effect(
         name="force_scale",
         plain="a wrong scale of the force sensor",
-        summary="the sensor reads s times the force that acts; a branch's in world axes y and z relative_y s and relative_z"
-        " s times, so that s is the geometric mean of the three gains",
+        summary="the sensor reads s times the force that acts; a branch's in world axes y and z relative_y s and"
+        " relative_z s times, so that s is the geometric mean of the three gains",
         source="definition; BIPM, International Vocabulary of Metrology (2012), 2.18; gains of axes: Voyles, Morrow &"
         " Khosla 1997, J. Dyn. Syst. Meas. Control 119:229",
         signature="all stiffnesses and dampers look s times too large against the mass and weight: swings are off",

@@ -89,6 +89,7 @@ class EffectParameter:
         optional: Whether a file may leave it out; it is neutral then.
         plausible: Least and largest value that nature or a sensor has, beyond which a fitted effect stands in for
             another; None where none is known. The effect's file says where the numbers are from.
+        becomes: Name of the effect that the law turns into where the value is larger than the box; empty for none.
     """
 
     name: str
@@ -102,6 +103,7 @@ class EffectParameter:
     reach: Bound | None = None
     optional: bool = False
     plausible: tuple[float, float] | None = None
+    becomes: str = ""
 
 
 def axis_parameter(*, circle: bool, tries: int) -> EffectParameter:
@@ -139,6 +141,8 @@ class Law:
         further: Values of all parameters at which a search looks beside what it tries of each with each.
         moment: Name of the parameter that is the moment on the clock at which the effect happens, once and for good;
             empty where it has none.
+        strengths: Names of the parameters that are all neutral where the effect does nothing. Empty: those that may
+            have either sign if the first is one of them, else the first alone.
     """
 
     kind: Kind
@@ -154,6 +158,7 @@ class Law:
     mirror: Callable[[Sequence[float]], tuple[Sequence[float], float]] | None = None
     further: Callable[[Setting], Sequence[tuple[float, ...]]] | None = None
     moment: str = ""
+    strengths: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -235,6 +240,8 @@ def _check(law: Law, name: str) -> None:
     names = [p.name for p in law.parameters]
     if not 1 <= len(set(names)) == len(names) <= PARAMETERS:
         raise InputError("effects", name, f"parameters {names}", f"1 to {PARAMETERS} of different names")
+    if not set(law.strengths) <= set(names):
+        raise InputError("effects", name, f"strengths {list(law.strengths)}", f"some of {', '.join(names)}")
     if (law.law is None) == (law.kind in ("joint", "link", "force")):
         raise InputError("effects", name, f"kind {law.kind} and law {law.law}", "a law with its kind")
     if law.holds is not None and (law.kind != "joint" or law.memory == 0):

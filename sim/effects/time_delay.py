@@ -17,7 +17,7 @@ EFFECT = register(
         signature="misfit where the force changes fast: at the release and in sweeps",
         mistaken_for=("tip_mass", "viscoelastic_sls"),
         probe="steps and fast sweeps",
-        branch=Law("time_delay", (_LAG, _SLOW), per_joint=False, memory=2),
+        branch=Law("time_delay", (_LAG, _SLOW), per_joint=False, memory=2, strengths=("lag_s", "slow_s")),
         joint=Law("time_delay", (_LAG,), per_joint=False),
     )
 )

@@ -62,7 +62,13 @@ EFFECT = register(
         signature="displacement goes on growing in a hold and comes back slowly after the release",
         mistaken_for=("hysteresis_boucwen", "dry_friction"),
         probe="a long hold and a long wait after it; the same push fast and slow",
-        branch=Law("joint", (_SHARE, _RELAXATION, _SECOND_SHARE, _SECOND), viscoelastic_of_two, memory=2),
+        branch=Law(
+            "joint",
+            (_SHARE, _RELAXATION, _SECOND_SHARE, _SECOND),
+            viscoelastic_of_two,
+            memory=2,
+            strengths=("share", "second_share"),
+        ),
         joint=Law("joint", (_SHARE, _RELAXATION), viscoelastic_sls, memory=1),
     )
 )

@@ -90,8 +90,9 @@ def noise_of_repeats(contest: Contest, batch: Batch, noise: Noise) -> Noise:
 
     A sensor that remembers its last reading changes little from sample to sample. Two recordings of one experiment
     nevertheless differ by all of its noise, and so does one from rest before anything has touched the branch. A model
-    is subtracted first, so that a gust that it has is no noise. Repeats are the longer ones; where they scatter more
-    than rest does, the branch has changed between them, or noise of the force has moved it, and rest counts.
+    is subtracted first, so that a gust that it has is no noise, and of what repeats differ by what other springs and
+    dampers in the second one would make: a branch that has changed in between is no noise either. Repeats are the
+    longer ones; where they scatter more than rest does all the same, rest counts.
 
     Args:
         contest: The contest of a branch; joints keep their noise.
@@ -100,11 +101,10 @@ def noise_of_repeats(contest: Contest, batch: Batch, noise: Noise) -> Noise:
     """
     if not isinstance(contest.case, BranchCase):
         return noise
-    left, white = _residuals(contest, batch)
-    white = white * contest.sigma  # without the response to noise of the force
     axes = noise.sigma.reshape(2, 3)[0] > 0.0
-    moved, kinds = (x.cpu().numpy().reshape(*left.shape[:2], 2, 3)[..., axes] for x in (white, left))
-    repeats, rest = _repeats(contest, moved), _quiet(contest, kinds)
+    left = _residuals(contest, batch)[0].cpu().numpy()
+    repeats = _repeats(contest, batch, axes)
+    rest = _quiet(contest, left.reshape(*left.shape[:2], 2, 3)[..., axes])
     seen = np.where((repeats < AGREE * rest) | np.isnan(rest), repeats, rest)
     ratio = (seen / noise.sigma.reshape(2, 3).max(1)).max(initial=0.0, where=np.isfinite(seen))
     if ratio < LARGER:
@@ -154,14 +154,32 @@ def _trimmed(steps: Array) -> float:
     return float(np.sqrt(squares[: int(SHARE * len(squares))].sum() / (2.0 * WITHIN * len(squares))))
 
 
-def _repeats(contest: Contest, left: Array) -> Array:
-    """Return the deviation of each kind of channel between recordings of one experiment, NaN without any, [2]."""
+def _repeats(contest: Contest, batch: Batch, axes: Array) -> Array:
+    """Return the deviation of each kind of channel between recordings of one experiment, NaN without any, [2].
+
+    It is of residuals without their response to noise of the force, less what a change of the base parameters makes of
+    the second recording.
+    """
+    pairs = [(i, t.replicate_of) for i, t in enumerate(contest.case.trajectories) if t.replicate_of is not None]
+    if not pairs:
+        return _deviation([])
+    white, derivative, _ = contest.linearise(batch)
     apart = []
-    for i, t in enumerate(contest.case.trajectories):
-        if t.replicate_of is not None:
-            count = min(len(contest.recordings[k].t) for k in (i, t.replicate_of))
-            apart.append(left[i, :count] - left[t.replicate_of, :count])
-    return _deviation(apart) / np.sqrt(2.0)
+    for i, k in pairs:
+        count = min(len(contest.recordings[n].t) for n in (i, k))
+        by_base = derivative[0, : contest.num_base, i, :count]
+        apart.append(_unchanged(white[0, i, :count] - white[0, k, :count], by_base))
+    sigma = contest.sigma.cpu().numpy().reshape(2, 3)[:, axes]
+    return _deviation([x.reshape(-1, 2, 3)[..., axes] * sigma for x in apart]) / np.sqrt(2.0)
+
+
+def _unchanged(apart: torch.Tensor, derivative: torch.Tensor) -> Array:
+    """Return a difference [T, C] less its regression on derivatives [p, T, C], enlarged by the freedom it lost."""
+    rows, target = derivative.flatten(1).T.cpu(), apart.flatten()[:, None].cpu()
+    rest = target - rows @ torch.linalg.lstsq(rows, target, driver="gelsd").solution
+    count = max(int((target != 0.0).sum()), 1)
+    freedom = max(count - len(derivative), 1) / count
+    return (rest.view_as(apart) / freedom**0.5).numpy()
 
 
 def _quiet(contest: Contest, left: Array) -> Array:

@@ -53,9 +53,9 @@ def _needed(fitted: FittedModels, model: Model, member: int) -> bool:
 def uncertain(contest: Contest, model: Model) -> tuple[int, ...]:
     """Return the effects of a model whose strength may as well be neutral by the curvature, as indices of candidates.
 
-    Strengths of either sign are neutral together, so their joint interval counts. One on a logarithmic scale is
-    neutral at zero, which an interval of the value touches that is as wide as the value. Of any other, neutral is the
-    end of its box that is next to it.
+    Several strengths are neutral together, so the joint interval of their values counts. A single one on a logarithmic
+    scale is neutral at zero, which an interval of the value touches that is as wide as the value. Of any other, neutral
+    is the end of its box that is next to it.
     """
     if model.rests:
         return model.members
@@ -70,10 +70,20 @@ def _touches(contest: Contest, model: Model, member: int, spread: torch.Tensor, 
     parameter, neutral = contest.parameters[own[0]], float(contest.neutral[own[0]])
     if parameter.low < neutral < parameter.high:
         off = torch.tensor([contest.parameters[c].free(float(contest.neutral[c])) for c in own]).to(free)
-        apart = float((free - off) @ torch.linalg.lstsq(part, (free - off)[:, None]).solution[:, 0])
-        return apart < float(chi2.ppf(CONFIDENCE, len(own)))
+        return _within(free - off, part)
+    if len(own) > 1:  # to first order a value on a logarithmic scale moves by itself times its free coordinate
+        value = contest.values(model.fit.batch)[0, own]
+        slope = torch.tensor([contest.parameters[c].scale == "log" for c in own]).to(value.device)
+        slope = torch.where(slope, value, torch.ones_like(value))
+        return _within(value - contest.neutral[own], part * slope[:, None] * slope)
     reach = float(chi2.ppf(CONFIDENCE, 1)) ** 0.5 * float(part[0, 0].clamp(min=0.0)) ** 0.5
     if parameter.scale == "log":  # to first order the motion follows the value, whose interval is its share
         return reach >= 1.0
     low, high = float(contest.low[own[0]]), float(contest.high[own[0]])
     return float(free[0]) - reach <= low if neutral <= parameter.low else float(free[0]) + reach >= high
+
+
+def _within(apart: torch.Tensor, spread: torch.Tensor) -> bool:
+    """Return whether numbers may as well all be zero, from their covariance."""
+    distance = float(apart @ torch.linalg.lstsq(spread, apart[:, None]).solution[:, 0])
+    return distance < float(chi2.ppf(CONFIDENCE, len(apart)))

@@ -26,8 +26,11 @@ AGAIN, LEADING, MORE = 3, 4, 12
 def switches(contest: Contest, candidate: Candidate) -> tuple[int, ...]:
     """Return the columns of the parameters that switch an effect on: it is off where all of them are neutral.
 
-    They are the amplitudes, which may have either sign, or else the first parameter.
+    They are those that the registry names, or the amplitudes, which may have either sign, or else the first parameter.
     """
+    named = candidate.law.strengths
+    if named:
+        return tuple(c for c, s in zip(candidate.columns, candidate.specs, strict=True) if s.name in named)
     through = [c for c, s in zip(candidate.columns, candidate.specs, strict=True)
                if passes_neutral(s, contest.parameters[c])]  # fmt: skip
     return tuple(through) if through and through[0] == candidate.columns[0] else candidate.columns[:1]

@@ -10,12 +10,13 @@ import torch
 import yaml
 from bough.learn.cases.case import load_case
 from bough.learn.gap.consistent import sentence
-from bough.learn.gap.decide import Decision
+from bough.learn.gap.decide import Decision, _turned_into
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
-from bough.learn.gap.models.contest import Contest
+from bough.learn.gap.models.candidates import Candidate
+from bough.learn.gap.models.contest import Batch, Contest
 from bough.learn.gap.models.fitted import FittedModels, Model
-from bough.learn.gap.models.refit import fit
+from bough.learn.gap.models.refit import Fits, fit
 from bough.learn.gap.prepare import prepare
 from bough.learn.gap.run import Run
 from bough.learn.gap.search import Searched
@@ -29,6 +30,7 @@ from bough.learn.runs.threads import one_thread
 from bough.learn.systems.acting import Acting
 from bough.learn.systems.branch import Unknowns
 from bough.sim.base.errors import InputError
+from bough.sim.effects import EffectParameter
 from scipy.signal import firwin
 
 INERTIA, D = 0.05, 0.1
@@ -277,3 +279,29 @@ def test_an_effect_that_is_off_is_still_off_under_another_filter(tmp_path):
         searched.fitted.models[:] = [off]
         nothing = replace(claimed, verdict="none", named=(), alternatives={}, model=searched.fitted.base)
         assert steadied(base, searched, nothing, run) == nothing
+
+
+# ---- a law that becomes another -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("bend", "left", "place", "turned"),
+    [(1.0, 1080.0, 0, True), (0.5, 1080.0, 0, False), (1.0, 1200.0, 0, False), (1.0, 1080.0, 1, False)],
+)
+def test_friction_that_bends_as_far_as_it_may_is_hysteresis(bend, left, place, turned):
+    """Take hysteresis at its joint where it explains as much to 3 % of the excess, 2000 squares, and not elsewhere."""
+    spec = EffectParameter("bend_rad", "rad", 0.0, 1.0, becomes="hysteresis_boucwen")
+    candidates = [
+        Candidate(SimpleNamespace(name=name, joint=joint), (k,), SimpleNamespace(parameters=(spec,)))
+        for k, (name, joint) in enumerate([("dry_friction", 0), ("hysteresis_boucwen", place)])
+    ]
+    one = torch.ones(2, dtype=torch.float64)
+    contest = SimpleNamespace(num_samples=1000, candidates=candidates, low=0.0 * one, high=one)
+
+    def model(members, chi2):
+        batch = Batch(bend * one[None], one[None] > 0.0, torch.zeros(0), torch.zeros(0))
+        return Model(members, Fits(batch, *[torch.tensor([chi2])] * 4), True)
+
+    friction, other = model((0,), 1030.0), model((1,), left)
+    fitted = FittedModels(contest, model((), 3000.0), [friction, other])
+    assert _turned_into(fitted, friction) is (other if turned else friction)

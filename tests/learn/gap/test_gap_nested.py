@@ -178,10 +178,29 @@ def test_intervals_that_touch_neutral_cover(small):
     assert uncertain(small, rubs) == rubs.members
 
 
+def test_strengths_of_one_law_are_off_together(branch):
+    """Take creep for certain whose first strength is at its least and whose second is not; neither, where both are."""
+    contest = contest_on(branch, 4, ("viscoelastic_sls",))
+    columns = list(contest.candidates[0].columns)
+    assert [contest.parameters[k].name.split()[-1] for k in switches(contest, contest.candidates[0])] == [
+        "share", "second_share"
+    ]  # fmt: skip
+    for second, sure in ((0.8, True), (0.0, False)):
+        truth = activated(contest, contest.base_batch(1), [[0]])
+        values = torch.tensor([math.log(1e-9), math.log(0.05), second, math.log(0.05)])
+        truth.free[0, columns] = values.double()
+        clean = contest.simulate(contest.values(truth), truth.start)[0].double()
+        noise = contest.sigma.cpu().numpy() * np.random.default_rng(3).standard_normal(clean.shape)
+        contest.measured = clean + torch.as_tensor(noise)
+        model = Model((0,), evaluated(contest, truth), True)
+        assert (uncertain(contest, model) == ()) == sure
+
+
 def test_the_likelihood_overrules_the_curvature(small, monkeypatch):
     """Take an effect for certain without which noise alone is not left, whatever its curvature says; no other.
 
-    A scale of one, and its axes, gain a chi-squared variable of three degrees: above its quantile of 1 - 1e-6 in none of ten.
+    A scale of one, and its axes, gain a chi-squared variable of three degrees: above its quantile of 1 - 1e-6 in none
+    of ten.
     """
     monkeypatch.setattr("bough.learn.gap.models.certain.uncertain", lambda contest, model: model.members)
     for value, seeds in ((0.0, range(10)), (0.1, range(2))):

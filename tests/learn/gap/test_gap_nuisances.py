@@ -264,6 +264,22 @@ def test_repeats_and_rest_show_noise_that_differences_miss(contest):
     assert noise_of_repeats(contest, rigid, known) is known
 
 
+def test_a_branch_that_has_changed_between_repeats_is_no_noise(contest):
+    """Keep the noise of a branch whose springs are a tenth stiffer in the second of two recordings of one experiment.
+
+    They differ by several deviations then, and by a hundredth of that once other springs may have made the difference.
+    """
+    rigid, known = contest.base_batch(1), Noise(NOISE)
+    stiffer = rigid.copy()
+    stiffer.free[:, [k for k, p in enumerate(contest.parameters) if p.name.startswith("stiffness")]] += 0.1
+    later = contest.simulate(contest.values(stiffer), stiffer.start)[0].double()
+    again = [i for i, t in enumerate(contest.case.trajectories) if t.replicate_of is not None]
+    assert float(((later - contest.measured)[again] / torch.as_tensor(NOISE)).pow(2).mean()) > 4.0
+    contest.measured[again] = later[again]
+    noisy(contest)
+    assert noise_of_repeats(contest, rigid, known) is known
+
+
 def test_neighbours_show_noise_that_was_taken_for_less(contest):
     """Find white noise to 5 % where 0.9 of it was known, beside a slow misfit and a jump that no model follows.
 

@@ -165,7 +165,7 @@ def test_grasp_slip_is_the_hidden_simulators(tmp_path, mobility):
 
 
 def test_a_trunk_stiffer_in_one_plane_is_a_joint_that_is(tmp_path):
-    """Rest where a root of the moments puts a stick on a trunk 0.6 m below with a matrix spring, the stick's joint stiff.
+    """Rest where a root of the moments puts a stick on a trunk 0.6 m below with a matrix spring, its own joint stiff.
 
     What the stick's own spring of 2e4 N m/rad gives way by is force, lever and lever over it: 0.2 mm.
     """
@@ -185,7 +185,7 @@ def test_a_trunk_stiffer_in_one_plane_is_a_joint_that_is(tmp_path):
 
 
 def on_trunk(case, matrix, force, below=0.6, held_at=0.4):
-    """Return where a stick that is stiff at its base ends, moved by a force, on a spring [3, 3] ``below`` the base [m]."""
+    """Return where a stick that is stiff at its base ends under a force, on a spring [3, 3] ``below`` the base [m]."""
     axis = case.axis[0]
     a, b = case.radius[0]
     com = axis * case.length[0] * (a * a + 2 * a * b + 3 * b * b) / (4 * (a * a + a * b + b * b))

@@ -80,6 +80,7 @@ def test_faulty_rows_are_refused():
         (replace(row, name="other", branch=replace(row.branch, parameters=())), "1 to 6"),
         (replace(row, name="other", branch=replace(row.branch, parameters=(p, p))), "different names"),
         (replace(row, name="other", branch=replace(row.branch, law=None)), "a law with its kind"),
+        (replace(row, name="other", branch=replace(row.branch, strengths=("size",))), r"strengths \['size'\]"),
         (replace(row, name="other", branch=replace(row.branch, memory=0, holds=row.branch.law)), "remembers"),
     ):
         with pytest.raises(InputError, match=words):
