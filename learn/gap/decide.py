@@ -124,7 +124,8 @@ def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> 
 def _turned_into(fitted: FittedModels, model: Model) -> Model:
     """Return the model, or where a law of it ends at what makes it another law, one with that law at its joint.
 
-    The other law must explain as much, to the share by which a law may differ from nature's in its form (`TURNED`).
+    The other law must explain as much, to the share by which a law may differ from nature's in its form (`TURNED`), and
+    not end where it becomes the first.
     """
     candidates = fitted.contest.candidates
     for c in model.members:
@@ -134,7 +135,9 @@ def _turned_into(fitted: FittedModels, model: Model) -> Model:
             wanted = [set(model.members) - {c} | {k} for k in others]
             found = [m for m in fitted.of_size(len(model.members)) if set(m.members) in wanted and not m.rests]
             best = min(found, key=fitted.criterion, default=None)
-            if best is not None and fitted.explained(best) >= fitted.explained(model) - TURNED:
+            if best is None or fitted.explained(best) < fitted.explained(model) - TURNED:
+                continue
+            if candidates[c].name not in _becomes(fitted, best, next(iter(set(best.members) - set(model.members)))):
                 return best
     return model
 

@@ -1,5 +1,6 @@
 """Hysteresis after Bouc and Wen."""
 
+from dataclasses import replace
 from typing import Any
 
 import warp as wp
@@ -66,6 +67,8 @@ _PARAMETERS = (
     EffectParameter("yield_rad", "rad", lambda s: 0.02 * s.angle, lambda s: s.angle, scale="log"),
     EffectParameter("exponent", "1", 1.0, 2.0, neutral=2.0, tries=1, optional=True),
 )
+#: Of a spring far stiffer than a branch's joint only the slider is seen, which is friction.
+_SHARE = replace(_PARAMETERS[0], becomes="dry_friction")
 _LOADING, _STIFFENING = (
     EffectParameter("loading", "1", low, 1.0, neutral=1.0, tries=1, optional=True) for low in (0.0, -0.25)
 )
@@ -82,7 +85,13 @@ EFFECT = register(
         signature="loops of force over displacement that are as wide slow as fast; stiffer after each reversal",
         mistaken_for=("dry_friction", "viscoelastic_sls", "plastic_set"),
         probe="the same triangle of force at two speeds; a small loop inside a large one",
-        branch=Law("joint", (*_PARAMETERS, _LOADING, _SEPARATE), hysteresis_boucwen, memory=1, holds=hysteresis_holds),
+        branch=Law(
+            "joint",
+            (_SHARE, *_PARAMETERS[1:], _LOADING, _SEPARATE),
+            hysteresis_boucwen,
+            memory=1,
+            holds=hysteresis_holds,
+        ),
         joint=Law("joint", (*_PARAMETERS, _STIFFENING), hysteresis_boucwen, memory=1),
     )
 )

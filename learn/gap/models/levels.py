@@ -99,8 +99,9 @@ def taken_for(fitted: FittedModels, count: int) -> list[Model]:
     """Return the best model of so many effects with each of its laws exchanged for those it is taken for, at its joint.
 
     They are laws that it is mistaken for, or that are mistaken for it. They begin as they were fitted alone, maybe at
-    another joint: a law that fits slowly where it acts may have been dropped there and kept at its neighbour's. Models
-    that were fitted until they had settled are not returned.
+    another joint: a law that fits slowly where it acts may have been dropped there and kept at its neighbour's; or
+    where they were dropped everywhere, at their typical values. Models that were fitted until they had settled are not
+    returned.
     """
     contest, best = fitted.contest, next(iter(fitted.of_size(count)), None)
     if best is None:
@@ -111,7 +112,7 @@ def taken_for(fitted: FittedModels, count: int) -> list[Model]:
             key = tuple(sorted((set(best.members) - {c}) | {other}))
             names = (contest.candidates[other].name,)
             alone = next((m for m in fitted.of_size(1) if m.settled and fitted.names(m) == names), None)
-            if alone is not None and len(key) == count and key not in done:
+            if len(key) == count and key not in done:
                 begun.append((key, _exchanged(contest, best, c, other, alone)))
     return _settled(contest, begun, sum(ITERATIONS[1:]))
 
@@ -126,8 +127,13 @@ def _taken_for(contest: Contest, candidate: int) -> list[int]:
     ]  # fmt: skip
 
 
-def _exchanged(contest: Contest, model: Model, candidate: int, other: int, alone: Model) -> Batch:
+def _exchanged(contest: Contest, model: Model, candidate: int, other: int, alone: Model | None) -> Batch:
     """Return a model's start, one law exchanged for another as it was fitted alone; a single law brings its base."""
+    if alone is None:
+        own, columns = _without(contest, model.fit.batch, [candidate]), list(contest.candidates[other].columns)
+        own.active[:, columns] = True
+        own.free[:, columns] = contest.typical[columns]
+        return own
     if len(model.members) == 1:
         return _at(contest, alone, alone.members[0], other)[1]
     own = _without(contest, model.fit.batch, [candidate])

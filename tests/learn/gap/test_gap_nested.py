@@ -407,3 +407,6 @@ def test_the_second_of_two_laws_is_exchanged_too(tmp_path):
     assert found[drag, right].chi2 < 1e-3 * contest.num_samples < pair.chi2
     fitted.models += found.values()
     assert fitted.of_size(2)[0].members == (drag, right)
+    fitted = FittedModels(contest, Model((), evaluated(contest, base)), [singles[0], singles[2], pair])
+    found = {m.members: m for m in taken_for(fitted, 2)}  # dropped everywhere, it begins at its typical values
+    assert found[drag, right].chi2 < 1e-3 * contest.num_samples
