@@ -78,6 +78,7 @@ class Decision:
         unstable: What would change the verdict of measured joints, see `steady`.
         may_be_off: For ``unknown`` the labels of the preferred model's effects that may as well be off.
         stretched: For ``unknown`` the labels of those that are as strong as their boxes allow, beside a misfit.
+        ended: Labels of the model that was preferred before, a law of which ends where it becomes another.
     """
 
     verdict: VerdictName
@@ -90,17 +91,21 @@ class Decision:
     unstable: tuple[str, ...] = ()
     may_be_off: tuple[str, ...] = ()
     stretched: tuple[str, ...] = ()
+    ended: tuple[str, ...] = ()
 
 
 def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
     """Return the verdict, the preferred model and the named effects."""
     models = searched.fitted
-    model = _borne_out(models, _turned_into(models, chosen(models, settings.max_effects)))
+    first = chosen(models, settings.max_effects)
+    turned = _turned_into(models, first)
+    model = _borne_out(models, turned)
     verdict, off = _verdict(base, searched, model, settings.tolerance)
     candidates = models.contest.candidates
     if verdict == "effects":
         named = tuple(candidates[c].acting for c in model.members)
-        return Decision(verdict, models.base, model, model, named, alternatives(models, model))
+        ended = () if turned is first else models.labels(first)
+        return Decision(verdict, models.base, model, model, named, alternatives(models, model), ended=ended)
     if verdict == "none":
         return Decision(verdict, models.base, model, models.base)
     nearest = None if base.unusable or not model.members else candidates[leading(models, model)].name
