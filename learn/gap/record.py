@@ -42,8 +42,8 @@ def record(
         remarks += ("Geometry and mountings that are not quite as the file says explain"
                     f" {percent(beside.share)} of the motion (furthest: {beside.furthest}).",)  # fmt: skip
     if decision.ended:
-        remarks += (f"{' and '.join(decision.ended)} would leave less, but at an end of its box where it is the law that"
-                    " is named.",)  # fmt: skip
+        remarks += (f"{' and '.join(decision.ended)} would leave less, but at an end of its box where it is the law"
+                    " that is named.",)  # fmt: skip
     return consistent(Diagnosis(
         case=case, settings=run.settings, recordings=recordings, sigma=noise, verdict=decision.verdict,
         sentence="", effects=decision.named, parameters=repaired.parameters, alternatives=decision.alternatives,

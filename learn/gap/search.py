@@ -156,6 +156,7 @@ def _add_effects(fitted: FittedModels, run: Run) -> None:
         fitted.models += further + reduced(fitted.contest, further[:2]) + mirrored(fitted.contest, further[:2])
         fitted.models += taken_for(fitted, count)
         fitted_again(fitted, count, every=True)
+        fitted.models += reduced(fitted.contest, fitted.of_size(count)[:1])
     if fitted.needs_more(fitted.best):
         fitted.models += widespread(fitted, run.settings.max_effects)
 

@@ -30,16 +30,17 @@ def backlash(j: Any, p: Any, r: Any):
 def backlash_ball(j: Any, p: Any, r: Any):
     """tau_k = +(1 - s) K phi_k ((1 - m) min(1, g / |phi|) + m min(1, g / |phi_k|)), rounded: one gap, or one an axis.
 
-    Either is the gradient of an energy, so what is between gives none.
+    Either is the gradient of an energy, so what is between gives none. Of the twist phi_z the part t counts, and of the
+    torque about it as much, which leaves them one.
     """
     o = real(0.0, p.a)
-    a = j.angle
+    a = type(j.angle)(j.angle.x, j.angle.y, j.angle.z * p.e)
     own = p.b
     joint = (real(1.0, o) - own) * lacking(dot(a, a), p.a, p.c)
     torque = type(a)(
         a.x * fma(own, lacking(a.x * a.x, p.a, p.c), joint),
         a.y * fma(own, lacking(a.y * a.y, p.a, p.c), joint),
-        a.z * fma(own, lacking(a.z * a.z, p.a, p.c), joint),
+        a.z * p.e * fma(own, lacking(a.z * a.z, p.a, p.c), joint),
     )
     return type(r)(torque * (j.stiffness * (real(1.0, o) - p.d)), r.memory, o, o)
 
@@ -48,6 +49,7 @@ _GAP = EffectParameter("gap_rad", "rad", lambda s: 0.005 * s.angle, lambda s: 0.
 _SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=1)
 _ROUNDING = EffectParameter("rounding", "1", 0.0, 0.3, tries=1, optional=True)
 _LEFT = EffectParameter("left", "1", 0.0, 0.8, tries=lambda s: [0.0], optional=True)
+_TWIST = EffectParameter("twist", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0], optional=True)
 
 EFFECT = register(
     Effect(
@@ -55,12 +57,13 @@ EFFECT = register(
         plain="play",
         summary="within an angle g of rest no spring, or the share s of it that is left there, beside the pre-load;"
         " beyond, -K (|phi| - (1 - s) g), the corner rounded where the edges of the gap are not hard; at a ball joint"
-        " the gap is round, or square where each axis of the segment plays by itself, or between",
+        " the gap is round, or square where each axis of the segment plays by itself, or between, and twist counts by a"
+        " share t",
         source="Nordin & Gutman 2002, Automatica 38:1633, section 2 (dead zone)",
         signature="loose about rest and stiff beyond it; slow last swings",
         mistaken_for=("cubic_stiffness", "bilinear_stiffness"),
         probe="small pushes about rest beside large ones",
-        branch=Law("joint", (_GAP, _SEPARATE, _ROUNDING, _LEFT), backlash_ball),
+        branch=Law("joint", (_GAP, _SEPARATE, _ROUNDING, _LEFT, _TWIST), backlash_ball),
         joint=Law("joint", (_GAP, _ROUNDING, _LEFT), backlash),
     )
 )

@@ -35,25 +35,27 @@ def hysteresis_boucwen(j: Any, p: Any, r: Any):
     """tau = -a K z,  dz/dt = w - z (l max(0, z.w) + (1 - l) max(0, -z.w)) |z|^(n-2) / y^n.
 
     Bouc and Wen's beta y^n is a half and gamma y^n is l - 1/2. The share m yields about each axis by itself, with
-    z_k w_k in the place of z.w and |z_k| of |z|. Implicit in the z that yields: with l = 1 it is y at a steady rate,
+    z_k w_k in the place of z.w and |z_k| of |z|. Of the rate of twist the part t counts, and of the torque about it as
+    much: t = 0 is Park's hysteresis of bending. Implicit in the z that yields: with l = 1 it is y at a steady rate,
     whatever the step.
     """
     o = real(0.0, p.a)
     one = real(1.0, o)
     z = r.memory
+    w = type(z)(j.rate.x, j.rate.y, j.rate.z * p.f)
     y = sqrt_(fma(p.b, p.b, real(1.0e-12, o)))
     tiny = real(1.0e-20, o)
-    joint = sliding(dot(z, j.rate), norm(z), y, p.c, p.d) * (one - p.e)
-    gx = fma(p.e, sliding(z.x * j.rate.x, sqrt_(fma(z.x, z.x, tiny)), y, p.c, p.d), joint)
-    gy = fma(p.e, sliding(z.y * j.rate.y, sqrt_(fma(z.y, z.y, tiny)), y, p.c, p.d), joint)
-    gz = fma(p.e, sliding(z.z * j.rate.z, sqrt_(fma(z.z, z.z, tiny)), y, p.c, p.d), joint)
+    joint = sliding(dot(z, w), norm(z), y, p.c, p.d) * (one - p.e)
+    gx = fma(p.e, sliding(z.x * w.x, sqrt_(fma(z.x, z.x, tiny)), y, p.c, p.d), joint)
+    gy = fma(p.e, sliding(z.y * w.y, sqrt_(fma(z.y, z.y, tiny)), y, p.c, p.d), joint)
+    gz = fma(p.e, sliding(z.z * w.z, sqrt_(fma(z.z, z.z, tiny)), y, p.c, p.d), joint)
     z = type(z)(
-        fma(j.rate.x, j.step, z.x) / left_over(gx * j.step),
-        fma(j.rate.y, j.step, z.y) / left_over(gy * j.step),
-        fma(j.rate.z, j.step, z.z) / left_over(gz * j.step),
+        fma(w.x, j.step, z.x) / left_over(gx * j.step),
+        fma(w.y, j.step, z.y) / left_over(gy * j.step),
+        fma(w.z, j.step, z.z) / left_over(gz * j.step),
     )
     k = p.a * j.stiffness
-    return type(r)(z * (o - k), z, k, o)
+    return type(r)(type(z)(z.x, z.y, z.z * p.f) * (o - k), z, k, o)
 
 
 @wp.func
@@ -73,6 +75,7 @@ _LOADING, _STIFFENING = (
     EffectParameter("loading", "1", low, 1.0, neutral=1.0, tries=1, optional=True) for low in (0.0, -0.25)
 )
 _SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True)
+_TWIST = EffectParameter("twist", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0], optional=True)
 
 EFFECT = register(
     Effect(
@@ -80,14 +83,15 @@ EFFECT = register(
         plain="hysteresis (it bends and comes back on different ways)",
         summary="a second spring of a K in series with a slider that yields gradually at the angle y, more abruptly the"
         " larger the exponent n; the share l yields on loading, the rest on the way back (beta y^n = 1/2, gamma y^n ="
-        " l - 1/2); at a ball joint a share of it may yield about each axis of the segment by itself",
+        " l - 1/2); at a ball joint a share of it may yield about each axis of the segment by itself, and twist counts"
+        " by a share t",
         source="Bouc 1967; Wen 1976, ASCE EM 102:249; in space as Park, Wen & Ang 1986, EESD 14:543",
         signature="loops of force over displacement that are as wide slow as fast; stiffer after each reversal",
         mistaken_for=("dry_friction", "viscoelastic_sls", "plastic_set"),
         probe="the same triangle of force at two speeds; a small loop inside a large one",
         branch=Law(
             "joint",
-            (_SHARE, *_PARAMETERS[1:], _LOADING, _SEPARATE),
+            (_SHARE, *_PARAMETERS[1:], _LOADING, _SEPARATE, _TWIST),
             hysteresis_boucwen,
             memory=1,
             holds=hysteresis_holds,

@@ -100,8 +100,8 @@ def taken_for(fitted: FittedModels, count: int) -> list[Model]:
 
     They are laws that it is mistaken for, or that are mistaken for it. They begin as they were fitted alone, maybe at
     another joint: a law that fits slowly where it acts may have been dropped there and kept at its neighbour's; or
-    where they were dropped everywhere, at their typical values. Models that were fitted until they had settled are not
-    returned.
+    where they were dropped everywhere, at their typical values. One that has settled at that joint begins again beside
+    the springs of the best, since its own may be those of a false minimum.
     """
     contest, best = fitted.contest, next(iter(fitted.of_size(count)), None)
     if best is None:
@@ -112,8 +112,8 @@ def taken_for(fitted: FittedModels, count: int) -> list[Model]:
             key = tuple(sorted((set(best.members) - {c}) | {other}))
             names = (contest.candidates[other].name,)
             alone = next((m for m in fitted.of_size(1) if m.settled and fitted.names(m) == names), None)
-            if len(key) == count and key not in done:
-                begun.append((key, _exchanged(contest, best, c, other, alone)))
+            if len(key) == count:
+                begun.append((key, _exchanged(contest, best, c, other, alone, again=key in done)))
     return _settled(contest, begun, sum(ITERATIONS[1:]))
 
 
@@ -127,14 +127,19 @@ def _taken_for(contest: Contest, candidate: int) -> list[int]:
     ]  # fmt: skip
 
 
-def _exchanged(contest: Contest, model: Model, candidate: int, other: int, alone: Model | None) -> Batch:
-    """Return a model's start, one law exchanged for another as it was fitted alone; a single law brings its base."""
+def _exchanged(
+    contest: Contest, model: Model, candidate: int, other: int, alone: Model | None, *, again: bool
+) -> Batch:
+    """Return a model's start, one law exchanged for another as it was fitted alone.
+
+    A single law brings its base, unless it is fitted again.
+    """
     if alone is None:
         own, columns = _without(contest, model.fit.batch, [candidate]), list(contest.candidates[other].columns)
         own.active[:, columns] = True
         own.free[:, columns] = contest.typical[columns]
         return own
-    if len(model.members) == 1:
+    if len(model.members) == 1 and not again:
         return _at(contest, alone, alone.members[0], other)[1]
     own = _without(contest, model.fit.batch, [candidate])
     return _placed(contest, own, other, alone.fit.batch, alone.members[0])

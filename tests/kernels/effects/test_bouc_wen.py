@@ -32,9 +32,9 @@ def none_left(n, loading, z):
     return np.log(1 + rest * z) / rest if n == 1.0 else np.arctan(z * np.sqrt(rest)) / np.sqrt(rest)
 
 
-def turned(path, n, m, loading=1.0):
+def turned(path, n, m, loading=1.0, twist=1.0):
     """Return the torque along a path [samples, 3]."""
-    return along_path(path, 1.0, Y, n, loading, m)
+    return along_path(path, 1.0, Y, n, loading, m, twist)
 
 
 def to_and_fro(far):
@@ -107,3 +107,14 @@ def test_a_round_slider_knows_no_axes():
     step = np.linalg.norm(np.diff(path, axis=0), axis=1).max()
     assert (np.linalg.norm(turned(path, 1.5, 0.0), axis=1) < Y + step).all()
     assert (np.abs(turned(path, 1.5, 1.0)) < Y + step).all()
+
+
+@pytest.mark.parametrize("twist", [0.0, 0.4])
+def test_of_twist_a_share_counts(twist):
+    """Turn as if the twist were that share of itself; the work of what is given back is that of the whole twist."""
+    t = np.linspace(0, 12, STEPS)[:, None]
+    path = 0.1 * np.sin(t * np.array([1.0, 1.4, 0.7]))
+    share = np.array([1.0, 1.0, twist])
+    out, less = turned(path, 2.0, 0.3, 0.8, twist), turned(share * path, 2.0, 0.3, 0.8)
+    np.testing.assert_allclose(out, share * less, atol=2e-6)
+    assert np.abs(out - turned(path, 2.0, 0.3, 0.8)).max() > 0.1 * Y

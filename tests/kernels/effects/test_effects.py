@@ -381,15 +381,37 @@ def test_drag_on_links_makes_one_over_amplitude_linear(tmp_path):
 def test_anisotropy_and_coupling_equal_a_matrix_spring(tmp_path):
     """Rest where a symmetric matrix spring does."""
     case = stick_case(tmp_path / "c", [held()])
-    rel, kappa, psi, chi = 0.7, 0.4, 0.6, 1.1
-    on = {"anisotropic_stiffness": {"relative": rel, "axis_rad": psi},
+    rel, kappa, psi, chi, twist = 0.7, 0.4, 0.6, 1.1, -0.3
+    on = {"anisotropic_stiffness": {"relative": rel, "axis_rad": psi, "twist": twist},
           "bending_torsion_coupling": {"coupling": kappa, "axis_rad": chi}}  # fmt: skip
     n, c = np.array([np.cos(psi), np.sin(psi), 0.0]), np.array([np.cos(chi), np.sin(chi), 0.0])
     z = np.array([0.0, 0.0, 1.0])
-    matrix = KS * (np.eye(3) + rel * np.outer(n, n) + kappa * (np.outer(c, z) + np.outer(z, c)))
+    matrix = KS * (
+        np.eye(3) + rel * np.outer(n, n) + kappa * (np.outer(c, z) + np.outer(z, c)) + twist * np.outer(z, z)
+    )
     expected = resting(case, lambda phi: -matrix @ phi, lambda R: FORCE)
     plain = resting(case, lambda phi: -KS * phi, lambda R: FORCE)
     assert np.linalg.norm(expected - plain) > 0.1 * np.linalg.norm(plain)
+    np.testing.assert_allclose(settled(stick(case, **on)[0]), expected, atol=3e-4)
+
+
+@pytest.mark.parametrize("twist", [0.0, 0.6])
+def test_of_twist_a_share_plays(tmp_path, twist):
+    """Rest where a round gap does that sees a share of the twist, which a coupling brings, and gives as much of it."""
+    case, gap, kappa, chi = stick_case(tmp_path / "c", [held()]), 0.06, 0.5, 1.1
+    on = {
+        "backlash": {"gap_rad": gap, "twist": twist},
+        "bending_torsion_coupling": {"coupling": kappa, "axis_rad": chi},
+    }
+    c, z, share = np.array([np.cos(chi), np.sin(chi), 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 1.0, twist])
+    matrix = KS * (np.eye(3) + kappa * (np.outer(c, z) + np.outer(z, c)))
+
+    def spring(phi, share=share):
+        seen = share * phi
+        return KS * share * seen * min(1.0, gap / max(np.linalg.norm(seen), 1e-9)) - matrix @ phi
+
+    expected, whole = (resting(case, lambda phi, s=s: spring(phi, s), lambda R: FORCE) for s in (share, np.ones(3)))
+    assert np.linalg.norm(expected - whole) > 2e-3
     np.testing.assert_allclose(settled(stick(case, **on)[0]), expected, atol=3e-4)
 
 
@@ -532,7 +554,7 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
     case = stick_case(tmp_path / "c", [held(60), held(60, -FORCE)])
     at_joint, elsewhere = ("hysteresis_boucwen", "plastic_set"), ("wind_gust", "steady_wind", "time_delay", "tip_mass")
     acting = (*(Acting(n, 0) for n in at_joint), *(Acting(n) for n in elsewhere))
-    at_values = [0.3, 0.05, 1.4, 0.7, 0.3, 0.4, 0.05, 0.5, 0.3, 0.1]
+    at_values = [0.3, 0.05, 1.4, 0.7, 0.3, 0.6, 0.4, 0.05, 0.5, 0.3, 0.1]
     other_values = [20.0, 30.0, -20.0, 5.0, 0.9, 0.3, 10.0, 5.0, -5.0, 0.6, 0.01, 0.015, 0.02]
     values = torch.tensor([[KS, DS, *at_values, *other_values]])
     outs = []
@@ -540,6 +562,6 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
         monkeypatch.setattr("bough.learn.replay.worlds.simd_width", lambda w=width: w)
         rollout = Rollout(case, recordings(case), 2, unknowns=Unknowns(effects=acting))
         order = [p.name for p in rollout.system.parameters]
-        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 25
+        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 26
         outs.append(rollout(values.repeat(2, 1)).clone())
     assert (outs[0] == outs[1]).all() and torch.isfinite(outs[0]).all()

@@ -179,9 +179,9 @@ def test_an_effect_as_strong_as_its_box_allows_is_not_claimed_beside_a_misfit(sh
 
 @pytest.mark.parametrize(("share", "left"), [(0.0, True), (1.0, True), (0.5, False)])
 def test_a_strength_of_either_sign_may_be_stopped_at_either_end(share, left):
-    """A spring that is a tenth as stiff about one axis is as stretched as one that is four times as stiff."""
+    """A spring that is a tenth as stiff about one axis is as stretched as one that is ten times as stiff."""
     specs = effect_of("anisotropic_stiffness").law("branch").parameters
-    parameters = [SimpleNamespace(low=-0.9, high=3.0)]
+    parameters = [SimpleNamespace(low=-0.9, high=9.0)]
     contest = SimpleNamespace(candidates=[SimpleNamespace(columns=(0,), specs=specs)], low=torch.zeros(1),
                               high=torch.ones(1), parameters=parameters)  # fmt: skip
     fitted = SimpleNamespace(contest=contest, reduced_chi2=lambda model: 2.0)

@@ -208,7 +208,9 @@ def test_a_replay_does_not_remember_the_one_before(tmp_path, form):
     """Replay with memories, rates, poses and guards left as a world that blew up leaves them: the same bits."""
     case = stick_case(tmp_path / "c", [push()]) if form == "branch" else swing_case(tmp_path / "c", [(0.3, 0.0)])
     rollout = Rollout(case, recordings(case), 1, unknowns=Unknowns(effects=(Acting("hysteresis_boucwen", 0),)))
-    values = torch.tensor([[KS, DS, 0.6, 0.06, 1.4, 0.7, 0.6][: len(rollout.system.parameters)]], dtype=torch.float64)
+    values = torch.tensor(
+        [[KS, DS, 0.6, 0.06, 1.4, 0.7, 0.6, 1.0][: len(rollout.system.parameters)]], dtype=torch.float64
+    )
     first = rollout(values).clone()
     for name in ("memory", "effort", "hold"):
         rollout.effects.arrays[name].torch.fill_(torch.nan)
@@ -224,12 +226,12 @@ def test_a_replay_does_not_remember_the_one_before(tmp_path, form):
 BRANCH_TRUTH = {
     "cubic_stiffness": (6.0, 0.5, 0.3),
     "dry_friction": (0.25, 0.004, 0.4, 0.5, 0.8),
-    "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6),
+    "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6, 1.0),
     "quadratic_drag": (25.0, 0.4, 0.3),
     "viscoelastic_sls": (0.5, 0.3, 0.4, 0.04),
     "tip_mass": (0.2,),
     "base_compliance": (0.02, 0.1, 0.02, 0.3, 1.2, 0.7),
-    "backlash": (0.03, 0.5, 0.1, 0.3),
+    "backlash": (0.03, 0.5, 0.1, 0.3, 1.0),
     "plastic_set": (0.4, 0.1, 0.6, 0.5, 0.1),
     "partial_rupture": (0.4, 20.9, 0.5, 0.2),
     "grasp_slip": (-0.05, 0.5, 0.2, 1.0, 0.3),
@@ -239,12 +241,14 @@ BRANCH_TRUTH = {
     "steady_wind": (30.0, -40.0, 20.0, 0.4),
     "wind_gust": (20.0, -15.0, 10.0, 12.0, 0.9, 0.4),
     "gravity_comp_error": (0.15, 0.6),
-    "anisotropic_stiffness": (0.8, 0.7),
+    "anisotropic_stiffness": (0.8, 0.7, 0.3),
     "bilinear_stiffness": (1.0, 1.2),
     "bending_torsion_coupling": (0.4, 0.9),
 }
 FIXED_AT_TRUTH = {
     "plastic_set": ("separate",),
+    "hysteresis_boucwen": ("twist",),  # a stick that is pulled in its axis does not twist
+    "backlash": ("twist",),
     "grasp_slip": ("viscous",),  # less of it is a jump at the threshold
     "quadratic_drag": ("across",),  # a stick on a ball joint moves across itself alone
     "gravity_comp_error": ("tared",),
