@@ -1,7 +1,7 @@
 """Where a recording begins of a branch that a law holds off its rest.
 
-Dry friction stops a branch off centre, and the next pull finds it there. A grasp point that stands at d from its calm
-place while nothing pulls, with r_i to it from joint i, is taken there by
+Dry friction stops a branch off centre, a play leaves it where its weight leans, and the next pull finds it there. A
+grasp point that stands at d from its calm place while nothing pulls, with r_i to it from joint i, is taken there by
 
     phi_i = r_i x d / sum_j |r_j|^2
 
@@ -33,17 +33,18 @@ def held(r: Any, most: Any, y: Any):
 
 def _hold_own(term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
     """Device function that holds what is left of a torque, and remembers that; worlds of a mark keep their memory."""
-    read, holds = reader(term, types, key), term.holds
+    read, holds, remembers = reader(term, types, key), term.holds, term.memory > 0
 
     def hold_own(e: int, i: int, fx: Any, j: Any, left: Any, mark: Any):
         o = real(0.0, mark)
-        k = row * fx.stride + i
-        z = fx.memory[e, k]
-        r = holds(j, read(e, i, fx), types.Response(left, z, o, o))
-        fx.memory[e, k] = type(z)(
-            where_neg(o - mark, z.x, r.memory.x), where_neg(o - mark, z.y, r.memory.y),
-            where_neg(o - mark, z.z, r.memory.z),
-        )  # fmt: skip
+        r = holds(j, read(e, i, fx), types.Response(left, left - left, o, o))
+        if wp.static(remembers):
+            k = row * fx.stride + i
+            z = fx.memory[e, k]
+            fx.memory[e, k] = type(z)(
+                where_neg(o - mark, z.x, r.memory.x), where_neg(o - mark, z.y, r.memory.y),
+                where_neg(o - mark, z.z, r.memory.z),
+            )  # fmt: skip
         return left - r.torque
 
     return function_of(hold_own, term, f"hold{key}")

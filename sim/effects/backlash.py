@@ -4,7 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.lanes.algebra import add, div, dot, mul, sub
+from ...kernels.effects.held import held
+from ...kernels.lanes.algebra import add, div, dot, mul, norm, sub
 from ...kernels.lanes.real import fma, real, sqrt_
 from .registry import Effect, EffectParameter, Law, register
 
@@ -45,6 +46,12 @@ def backlash_ball(j: Any, p: Any, r: Any):
     return type(r)(torque * (j.stiffness * (real(1.0, o) - p.d)), r.memory, o, o)
 
 
+@wp.func
+def backlash_holds(j: Any, p: Any, r: Any):
+    """Up to K g (1 - s): what is lacking of the spring at the edge of the gap."""
+    return held(r, j.stiffness * p.a * (real(1.0, p.a) - p.d), p.a)
+
+
 _GAP = EffectParameter("gap_rad", "rad", lambda s: 0.005 * s.angle, lambda s: 0.8 * s.angle, scale="log")
 _SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=1)
 _ROUNDING = EffectParameter("rounding", "1", 0.0, 0.3, tries=1, optional=True)
@@ -63,7 +70,7 @@ EFFECT = register(
         signature="loose about rest and stiff beyond it; slow last swings",
         mistaken_for=("cubic_stiffness", "bilinear_stiffness"),
         probe="small pushes about rest beside large ones",
-        branch=Law("joint", (_GAP, _SEPARATE, _ROUNDING, _LEFT, _TWIST), backlash_ball),
+        branch=Law("joint", (_GAP, _SEPARATE, _ROUNDING, _LEFT, _TWIST), backlash_ball, holds=backlash_holds),
         joint=Law("joint", (_GAP, _ROUNDING, _LEFT), backlash),
     )
 )

@@ -70,7 +70,7 @@ _PARAMETERS = (
     EffectParameter("exponent", "1", 1.0, 2.0, neutral=2.0, tries=1, optional=True),
 )
 #: Of a spring far stiffer than a branch's joint only the slider is seen, which is friction.
-_SHARE = replace(_PARAMETERS[0], becomes="dry_friction")
+_SHARE = replace(_PARAMETERS[0], high=10.0, becomes="dry_friction")
 _LOADING, _STIFFENING = (
     EffectParameter("loading", "1", low, 1.0, neutral=1.0, tries=1, optional=True) for low in (0.0, -0.25)
 )

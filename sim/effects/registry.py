@@ -134,7 +134,8 @@ class Law:
         precedes: Whether it acts by the clock, and so has moved a branch before a recording begins.
         active: Whether it may give energy, as a gust does; every other law takes energy or gives back what it stored.
         holds: Device function ``holds(j, p, r)`` of a law at a joint that keeps a branch off its rest, as dry friction
-            does: of the torque ``r.torque`` what it holds, and the memory with which it does (`kernels.effects.held`).
+            or a play does: of the torque ``r.torque`` what it holds, and the memory, if any, with which it does
+            (`kernels.effects.held`).
         mirror: Of values of the parameters other ones, and by what the joint's spring is to be multiplied: the same
             motion in the plane in which the law acts, and another motion across it. A search that has ended on the
             wrong side is led to the other; None where there is none.
@@ -244,9 +245,8 @@ def _check(law: Law, name: str) -> None:
         raise InputError("effects", name, f"strengths {list(law.strengths)}", f"some of {', '.join(names)}")
     if (law.law is None) == (law.kind in ("joint", "link", "force")):
         raise InputError("effects", name, f"kind {law.kind} and law {law.law}", "a law with its kind")
-    if law.holds is not None and (law.kind != "joint" or law.memory == 0):
-        found = f"holds with kind {law.kind} and memory {law.memory}"
-        raise InputError("effects", name, found, "a law at a joint that remembers (memory=1) what it holds")
+    if law.holds is not None and law.kind != "joint":
+        raise InputError("effects", name, f"holds with kind {law.kind}", "a law at a joint")
 
 
 def registered() -> tuple[str, ...]:

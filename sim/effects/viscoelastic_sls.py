@@ -1,5 +1,6 @@
 """Wood that creeps: the standard linear solid."""
 
+from dataclasses import replace
 from typing import Any
 
 import warp as wp
@@ -64,7 +65,7 @@ EFFECT = register(
         probe="a long hold and a long wait after it; the same push fast and slow",
         branch=Law(
             "joint",
-            (_SHARE, _RELAXATION, _SECOND_SHARE, _SECOND),
+            (replace(_SHARE, high=10.0), _RELAXATION, _SECOND_SHARE, _SECOND),
             viscoelastic_of_two,
             memory=2,
             strengths=("share", "second_share"),

@@ -1,4 +1,4 @@
-"""A branch that friction holds off its rest begins there: by hand, and as a long experiment cut in two."""
+"""A branch that friction or a play holds off its rest begins there: by hand, and as a long experiment cut in two."""
 
 from dataclasses import replace
 
@@ -35,8 +35,9 @@ def begun(case, off):
 @pytest.mark.parametrize(
     ("law", "most"),
     [({"dry_friction": {"torque_Nm": 0.3}}, 0.3),
-     ({"hysteresis_boucwen": {"share": 0.5, "yield_rad": 0.12}}, 0.5 * K * 0.12)],
-    ids=["friction", "hysteresis"],
+     ({"hysteresis_boucwen": {"share": 0.5, "yield_rad": 0.12}}, 0.5 * K * 0.12),
+     ({"backlash": {"gap_rad": 0.12}}, K * 0.12)],
+    ids=["friction", "hysteresis", "play"],
 )  # fmt: skip
 def test_it_stands_where_it_is_found_or_as_far_as_is_held(tmp_path, law, most):
     """Untouched it stays at d where the law holds K |d| / l, and else at the turn most / K; at zero it rests."""
@@ -60,8 +61,9 @@ def test_without_the_law_it_rests(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "law", [{"dry_friction": {"torque_Nm": 0.4}}, {"hysteresis_boucwen": {"share": 2.0, "yield_rad": 0.04}}],
-    ids=["friction", "hysteresis"],
+    "law", [{"dry_friction": {"torque_Nm": 0.4}}, {"hysteresis_boucwen": {"share": 2.0, "yield_rad": 0.04}},
+            {"backlash": {"gap_rad": 0.08}}],
+    ids=["friction", "hysteresis", "play"],
 )  # fmt: skip
 def test_an_experiment_cut_in_two_is_the_same(tmp_path, law):
     """Pull, let go, wait, pull otherwise: what comes after, begun where the branch then stands, is the same."""

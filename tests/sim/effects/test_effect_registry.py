@@ -81,7 +81,10 @@ def test_faulty_rows_are_refused():
         (replace(row, name="other", branch=replace(row.branch, parameters=(p, p))), "different names"),
         (replace(row, name="other", branch=replace(row.branch, law=None)), "a law with its kind"),
         (replace(row, name="other", branch=replace(row.branch, strengths=("size",))), r"strengths \['size'\]"),
-        (replace(row, name="other", branch=replace(row.branch, memory=0, holds=row.branch.law)), "remembers"),
+        (
+            replace(row, name="other", branch=replace(row.branch, kind="link", holds=row.branch.law)),
+            "holds with kind link",
+        ),
     ):
         with pytest.raises(InputError, match=words):
             register(faulty)
