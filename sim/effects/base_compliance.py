@@ -13,7 +13,7 @@ EFFECT = register(
         " (1 + relative) / compliance, for bending about one level axis",
         source="James, Haritos & Ades 2006, Am. J. Bot. 93:1522 (the trunk as a spring below the branch)",
         signature="the grasp point moves as if the base turned: more along the branch than its own joints allow",
-        mistaken_for=("cubic_stiffness", "force_scale"),
+        mistaken_for=("cubic_stiffness", "force_scale", "anisotropic_stiffness", "bending_torsion_coupling"),
         probe="pushes along the branch, and at two grasp points",
         branch=Law(
             "base_compliance",

@@ -1,5 +1,6 @@
 """A spring that stiffens or softens with its angle."""
 
+from dataclasses import replace
 from typing import Any
 
 import warp as wp
@@ -40,6 +41,9 @@ def cubic_ball(j: Any, p: Any, r: Any):
 
 _CUBIC = EffectParameter("cubic_radm2", "1/rad^2", lambda s: -1.0 / s.angle**2, lambda s: 20.0 / s.angle**2)
 
+#: A quintic that ends the softening allows for more of it than a cubic that goes on.
+_CUBIC_OF_BRANCH = replace(_CUBIC, low=lambda s: -4.0 / s.angle**2)
+
 EFFECT = register(
     Effect(
         name="cubic_stiffness",
@@ -54,7 +58,7 @@ EFFECT = register(
         branch=Law(
             "joint",
             (
-                _CUBIC,
+                _CUBIC_OF_BRANCH,
                 EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True),
                 EffectParameter("quintic", "1", 0.0, 2.0, tries=lambda s: [0.0], optional=True),
             ),

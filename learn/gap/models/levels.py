@@ -118,11 +118,11 @@ def taken_for(fitted: FittedModels, count: int) -> list[Model]:
 
 
 def _taken_for(contest: Contest, candidate: int) -> list[int]:
-    """Return the candidates at a candidate's joint whose laws are mistaken for its law or the other way round."""
+    """Return candidates at a candidate's joint, or of the whole branch, that it is mistaken for, or that are for it."""
     own = contest.candidates[candidate]
     return [
         k for k, c in enumerate(contest.candidates)
-        if c.acting.joint == own.acting.joint
+        if c.acting.joint in (own.acting.joint, None)
         and (c.name in effect_of(own.name).mistaken_for or own.name in effect_of(c.name).mistaken_for)
     ]  # fmt: skip
 
