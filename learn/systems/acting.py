@@ -174,9 +174,13 @@ class ActingSet:
         values[:, [n for n, e in enumerate(self.entries) if e.known is None]] = columns
         return values != neutral
 
+    def place(self, name: str, parameter: str) -> int:
+        """Return where a parameter's row of joints begins in the array, in units of its stride."""
+        return 6 * self.names.index(name) + [p.name for p in effect_of(name).law(self.form).parameters].index(parameter)
+
     def value(self, name: str, parameter: str, columns: torch.Tensor) -> torch.Tensor:
         """Return a parameter of an effect that acts once, [sets]."""
-        row = 6 * self.names.index(name) + [p.name for p in self.laws[name].parameters].index(parameter)
+        row = self.place(name, parameter)
         found = [v for e, v in zip(self.entries, self.values(columns), strict=True) if e.place == row]
         return found[0]
 

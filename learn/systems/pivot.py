@@ -7,7 +7,6 @@ from dataclasses import fields
 import numpy as np
 import torch
 
-from ...kernels.effects.terms import PARAMETERS
 from ...sim.engine.model import Model
 from ...sim.trees.stiffness import hold_rest_pose
 from ...sim.trees.tree import Joint, Tree
@@ -58,6 +57,6 @@ def write_pivot(acting: ActingSet, columns: torch.Tensor, least: float, model: M
     write("armature", place, 0, torch.where(free, 0.0, LOCKED).to(spring.dtype))
     for c, own in enumerate((inertia, inertia, inertia * twist)):  # about the level axes and about the trunk's own
         write("inertia", place, c, torch.where(free, own, 0.0).to(spring.dtype))
-    row, stride = PARAMETERS * acting.names.index(TRUNK_BENDS), model.places + 1
-    for n, name in enumerate(("relative", "axis_rad")):
-        write(FIELD, (row + n) * stride + place, 0, acting.value("base_compliance", name, columns))
+    for name in ("relative", "axis_rad"):
+        row = acting.place(TRUNK_BENDS, name) * (model.places + 1)
+        write(FIELD, row + place, 0, acting.value("base_compliance", name, columns))

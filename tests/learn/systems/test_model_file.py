@@ -52,7 +52,7 @@ def test_refinements_may_be_left_out(tmp_path):
     content = {"format": "branch-model/1", "name": "found", "segments": [STICK], "effects": [hysteresis]}
     (tmp_path / "model.yaml").write_text(yaml.safe_dump(content))
     known = read_model(tmp_path / "model.yaml").effects[0].known
-    assert known == {"share": 0.3, "yield_rad": 0.05, "exponent": 2.0, "loading": 1.0, "separate": 0.0}
+    assert known == {"share": 0.3, "yield_rad": 0.05, "exponent": 2.0, "loading": 1.0, "separate": 0.0, "twist": 1.0}
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,9 @@ def plastic(tmp_path_factory):
     """Return a case of a stick whose joint yields for good, and its model."""
     folder = tmp_path_factory.mktemp("plastic")
     truth = {"stiffness": np.array([40.0]), "damping": np.array([0.5])}
-    acting = (Acting("plastic_set", 0, {"share": 0.4, "yield_rad": 0.1, "isotropic": 0.3, "separate": 0.2}),)
+    acting = (
+        Acting("plastic_set", 0, {"share": 0.4, "yield_rad": 0.1, "isotropic": 0.3, "separate": 0.2, "flow_s": 0.05}),
+    )
     case = write_simulated_case(folder / "case", random_branch(np.random.default_rng(3), 1), truth,
                                 Experiment(samples=60, rate=25.0, noise=0.01), trajectories=4, seed=3,
                                 unknowns=Unknowns(effects=acting))  # fmt: skip
