@@ -16,7 +16,7 @@ from typing import Any
 
 import warp as wp
 
-from ..lanes.algebra import add, add_cross, add_scaled, cross, div, dot, mul, norm, rotate, sub, unrotate
+from ..lanes.algebra import add, add_cross, add_scaled, cross, div, dot, growth, mul, norm, rotate, sub, unrotate
 from ..lanes.real import SOURCE, fma, fnma, real, sqrt_, where_neg
 from ..tree.observe import locate_links
 from ..tree.rollout import Moment, between, look_ahead, share_of, write_gains, write_joints, write_point
@@ -223,8 +223,8 @@ def slid(e: int, at: Slots, fx: Any, force: Any, axis: Any, grip: wp.array2d(dty
 def followed(e: int, row: int, is_first: bool, fx: Any, x: Any, slow: Any, dt: Any):
     """Return what a tracker of first order reads of x: T y' = x - y, y = x at first, x linear between samples.
 
-    y = x - (1 - a) T x' + a (y - x at the last sample), a = exp(-u), u = dt / T; the exponential is
-    1 / (1 + u + u^2/2 + u^3/6 + u^4/24), within 0.012. A ramp is late by T whatever a is.
+    y = x - (1 - a) T x' + a (y - x at the last sample), a = exp(-u), u = dt / T, to 0.012 (`growth`).
+    A ramp is late by T whatever a is.
     """
     k = row * fx.stride
     o = real(0.0, slow)
@@ -232,8 +232,7 @@ def followed(e: int, row: int, is_first: bool, fx: Any, x: Any, slow: Any, dt: A
     least = real(LEAST_LAG, o) * dt
     t = where_neg(slow - least, least, slow)
     u = dt / t
-    more = fma(u, fma(u, fma(u, real(1.0 / 24.0, o), real(1.0 / 6.0, o)), real(0.5, o)), one)
-    a = one / fma(u, more, one)
+    a = one / fma(u, growth(u), one)
     gone = x - fx.memory[e, k]
     late = fx.memory[e, k + 1] - fx.memory[e, k]
     y = x - gone * ((one - a) * t / dt) + late * a

@@ -17,7 +17,7 @@ from typing import Any
 
 import warp as wp
 
-from ..lanes.algebra import add, add_cross, cross, div, dot, half_angle_log, mul, rotate, sub, unrotate
+from ..lanes.algebra import add, add_cross, cross, div, dot, mul, rotate, sub, unrotate
 from ..lanes.real import SOURCE, fma, real, where_neg
 from ..tree.articulated import (
     PRISMATIC,

@@ -337,6 +337,13 @@ INVERSE_PI = wp.constant(wp.float64(0.3183098861837907))
 
 
 @wp.func
+def growth(x: Any):
+    """(e^x - 1) / x of x >= 0 to its first four terms: 1 / (1 + x times it) is exp(-x) within 0.012, and falls to 0."""
+    y = fma(x, real(1.0 / 24.0, x), real(1.0 / 6.0, x))
+    return fma(x, fma(x, y, real(0.5, x)), real(1.0, x))
+
+
+@wp.func
 def size(x: Any):
     """|x| of a real."""
     return where_neg(x, x - x - x, x)

@@ -134,25 +134,29 @@ def _turned_into(fitted: FittedModels, model: Model) -> Model:
     """
     candidates = fitted.contest.candidates
     for c in model.members:
-        for name in _becomes(fitted, model, c):
-            place = candidates[c].acting.joint
-            others = [k for k, x in enumerate(candidates) if (x.name, x.acting.joint) == (name, place)]
-            wanted = [set(model.members) - {c} | {k} for k in others]
-            found = [m for m in fitted.of_size(len(model.members)) if set(m.members) in wanted and not m.rests]
+        wanted = [(name, candidates[c].acting.joint) for name in _becomes(fitted, model, c)]
+        for other in (k for k, x in enumerate(candidates) if (x.name, x.acting.joint) in wanted):
+            members = {*model.members, other} - {c}
+            found = [m for m in fitted.models if set(m.members) == members and not m.rests]
             best = min(found, key=fitted.criterion, default=None)
             if best is None or fitted.explained(best) < fitted.explained(model) - TURNED:
                 continue
-            if candidates[c].name not in _becomes(fitted, best, next(iter(set(best.members) - set(model.members)))):
+            if candidates[c].name not in _becomes(fitted, best, other):
                 return best
     return model
 
 
 def _becomes(fitted: FittedModels, model: Model, candidate: int) -> list[str]:
     """Return the names of the laws that a law turns into at the upper ends of its box where its parameters are."""
-    contest, own = fitted.contest, fitted.contest.candidates[candidate]
-    share = (model.fit.batch.free[0] - contest.low) / (contest.high - contest.low)
+    own = fitted.contest.candidates[candidate]
     return [s.becomes for k, s in zip(own.columns, own.specs, strict=True)
-            if s.becomes and float(share[k]) >= 1.0 - NEAR]  # fmt: skip
+            if s.becomes and _way_up(fitted, model, k) >= 1.0 - NEAR]  # fmt: skip
+
+
+def _way_up(fitted: FittedModels, model: Model, column: int) -> float:
+    """Return how far up its box a parameter of a model is, on its own scale: 0 at the lower end, 1 at the upper."""
+    low, high = float(fitted.contest.low[column]), float(fitted.contest.high[column])
+    return (float(model.fit.batch.free[0, column]) - low) / (high - low)
 
 
 def _borne_out(fitted: FittedModels, model: Model) -> Model:
@@ -322,8 +326,7 @@ def stretched(fitted: FittedModels, model: Model) -> tuple[int, ...]:
     out = []
     for c in model.members:
         k, spec = contest.candidates[c].columns[0], contest.candidates[c].specs[0]
-        low, high = float(contest.low[k]), float(contest.high[k])
-        share = (float(model.fit.batch.free[0, k]) - low) / (high - low)
+        share = _way_up(fitted, model, k)
         both = passes_neutral(spec, contest.parameters[k])
         if share >= 1.0 - NEAR or (both and share <= NEAR):
             out.append(c)

@@ -7,7 +7,7 @@ import warp as wp
 from ...kernels.effects.held import held
 from ...kernels.lanes.algebra import add, div, dot, mul, norm, sub
 from ...kernels.lanes.real import fma, real, sqrt_
-from .registry import Effect, EffectParameter, Law, register
+from .registry import TWIST_SHARE, Effect, EffectParameter, Law, register
 
 
 @wp.func
@@ -56,7 +56,6 @@ _GAP = EffectParameter("gap_rad", "rad", lambda s: 0.005 * s.angle, lambda s: 0.
 _SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=1)
 _ROUNDING = EffectParameter("rounding", "1", 0.0, 0.3, tries=1, optional=True)
 _LEFT = EffectParameter("left", "1", 0.0, 0.8, tries=lambda s: [0.0], optional=True)
-_TWIST = EffectParameter("twist", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0], optional=True)
 
 EFFECT = register(
     Effect(
@@ -70,7 +69,7 @@ EFFECT = register(
         signature="loose about rest and stiff beyond it; slow last swings",
         mistaken_for=("cubic_stiffness", "bilinear_stiffness"),
         probe="small pushes about rest beside large ones",
-        branch=Law("joint", (_GAP, _SEPARATE, _ROUNDING, _LEFT, _TWIST), backlash_ball, holds=backlash_holds),
+        branch=Law("joint", (_GAP, _SEPARATE, _ROUNDING, _LEFT, TWIST_SHARE), backlash_ball, holds=backlash_holds),
         joint=Law("joint", (_GAP, _ROUNDING, _LEFT), backlash),
     )
 )

@@ -7,7 +7,7 @@ from typing import Any
 import warp as wp
 
 from ...kernels.effects.held import held
-from ...kernels.lanes.algebra import add, div, mul, norm, sub
+from ...kernels.lanes.algebra import add, div, growth, mul, norm, sub
 from ...kernels.lanes.real import fma, real, where_neg
 from .registry import Effect, EffectParameter, Law, Setting, register
 
@@ -53,7 +53,7 @@ def dry_friction(j: Any, p: Any, r: Any):
     slowest = real(SLOWEST, o)
     v = where_neg(p.e - slowest, slowest, p.e)
     x = norm(j.rate) / v
-    slow = fma(x, fma(x, fma(x, real(1.0 / 24.0, o), real(1.0 / 6.0, o)), real(0.5, o)), one)  # (e^x - 1) / x
+    slow = growth(x)
     fade = one / fma(x, slow, one)
     more = where_neg(p.d, o, p.d)
     creeps = where_neg(p.d, o - p.d, o)

@@ -8,7 +8,7 @@ import warp as wp
 from ...kernels.effects.held import held
 from ...kernels.lanes.algebra import add, div, dot, mul, norm, sub
 from ...kernels.lanes.real import fma, real, sqrt_, where_neg
-from .registry import Effect, EffectParameter, Law, register
+from .registry import TWIST_SHARE, Effect, EffectParameter, Law, register
 
 
 @wp.func
@@ -75,7 +75,6 @@ _LOADING, _STIFFENING = (
     EffectParameter("loading", "1", low, 1.0, neutral=1.0, tries=1, optional=True) for low in (0.0, -0.25)
 )
 _SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True)
-_TWIST = EffectParameter("twist", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0], optional=True)
 
 EFFECT = register(
     Effect(
@@ -91,7 +90,7 @@ EFFECT = register(
         probe="the same triangle of force at two speeds; a small loop inside a large one",
         branch=Law(
             "joint",
-            (_SHARE, *_PARAMETERS[1:], _LOADING, _SEPARATE, _TWIST),
+            (_SHARE, *_PARAMETERS[1:], _LOADING, _SEPARATE, TWIST_SHARE),
             hysteresis_boucwen,
             memory=1,
             holds=hysteresis_holds,

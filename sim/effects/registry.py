@@ -106,6 +106,10 @@ class EffectParameter:
     becomes: str = ""
 
 
+#: Share of the twist that a law at a ball joint sees, and of the torque about it that it gives.
+TWIST_SHARE = EffectParameter("twist", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0], optional=True)
+
+
 def axis_parameter(*, circle: bool, tries: int) -> EffectParameter:
     """Return the angle of an axis across a segment, which a search may turn past either end of what it looks at.
 

@@ -134,28 +134,25 @@ def _exchanged(
 
     A single law brings its base, unless it is fitted again.
     """
-    if alone is None:
-        own, columns = _without(contest, model.fit.batch, [candidate]), list(contest.candidates[other].columns)
-        own.active[:, columns] = True
-        own.free[:, columns] = contest.typical[columns]
-        return own
-    if len(model.members) == 1 and not again:
+    if alone is not None and len(model.members) == 1 and not again:
         return _at(contest, alone, alone.members[0], other)[1]
     own = _without(contest, model.fit.batch, [candidate])
-    return _placed(contest, own, other, alone.fit.batch, alone.members[0])
+    if alone is None:
+        return _placed(contest, own, other, contest.typical[None], other)
+    return _placed(contest, own, other, alone.fit.batch.free, alone.members[0])
 
 
-def _placed(contest: Contest, own: Batch, other: int, source: Batch, candidate: int) -> Batch:
-    """Add a candidate to models, with the values that another one of its law has in ``source``, inside its boxes."""
+def _placed(contest: Contest, own: Batch, other: int, source: torch.Tensor, candidate: int) -> Batch:
+    """Add a candidate to models, with the values that one of its law has in ``source`` [S, n], inside its boxes."""
     old, new = (list(contest.candidates[k].columns) for k in (candidate, other))
     own.active[:, new] = True
-    own.free[:, new] = torch.maximum(torch.minimum(source.free[:, old], contest.high[new]), contest.low[new])
+    own.free[:, new] = torch.maximum(torch.minimum(source[:, old], contest.high[new]), contest.low[new])
     return own
 
 
 def _at(contest: Contest, model: Model, candidate: int, other: int) -> tuple[tuple[int, ...], Batch]:
     """Return the members and the start of a model, a candidate's law moved to that of another joint."""
-    own = _placed(contest, _without(contest, model.fit.batch, [candidate]), other, model.fit.batch, candidate)
+    own = _placed(contest, _without(contest, model.fit.batch, [candidate]), other, model.fit.batch.free, candidate)
     return tuple(sorted((set(model.members) - {candidate}) | {other})), own
 
 
