@@ -46,8 +46,8 @@ NEVER = wp.constant(3 * DELAY)
 CLOSED = wp.constant(3)
 SENSED = wp.constant(4)
 #: Columns of ``grip``: grasp point and direction of the segment in the link's frame, how far the grip may slide down
-#: (negative) and up, the point in the world in the given pose [m], the recording's largest force [N], and how far off
-#: its calm place the point stands before [m].
+#: (negative) and up, the point in the world in the given pose [m], the recording's largest force [N], how far off
+#: its calm place the point stands before [m], and what the sensor reads of an open gripper [N].
 GRASP = wp.constant(0)
 ALONG = wp.constant(3)
 DOWN = wp.constant(6)
@@ -55,6 +55,7 @@ UP = wp.constant(7)
 GIVEN = wp.constant(8)
 PEAK = wp.constant(11)
 OFF = wp.constant(12)
+OPENED = wp.constant(15)
 
 #: Least time constant of a tracker, in samples, so that powers of a sample over it stay finite.
 LEAST_LAG = wp.constant(wp.float64(1.0e-3))
@@ -179,7 +180,7 @@ def acting(
     held = real(wp.min(closed, wp.float64(1.0)), o)
     recorded = recorded * held  # a late sensor still feels what an open gripper does not
     contact = drawn(e, fx, delay, input_in, now, n, CLOSED, SENSED + CLOSED, ends, rate, o) * held
-    return law(e, 0, fx, type(like)(recorded, contact, pose, like.first, like.gravity))
+    return law(e, 0, fx, type(like)(recorded, contact, pose, like.first, like.gravity, like.opened))
 
 
 # ---- the grip --------------------------------------------------------------------------------------------------------
@@ -422,7 +423,7 @@ def drive(
         i = driven[d]
         recorded = drawn(e, fx, delay, input_in, now, n, d, d, NEVER, rate, o)
         pose = s.pose[row, i]
-        felt = type(like)(type(like.force)(recorded, o, o), real(1.0, o), pose, pose, like.gravity)
+        felt = type(like)(type(like.force)(recorded, o, o), real(1.0, o), pose, pose, like.gravity, like.opened)
         effort = u.effort[e, i]
         effort.x = law(e, i, fx, felt).x
         u.effort[e, i] = effort
@@ -470,7 +471,7 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
     """Kernel that pushes links at their load points as recorded.
 
     Inputs are the force x, y, z, whether the gripper holds (1 or 0), and what the sensor felt of each. ``grip``
-    [recordings, 15] is laid out as `GRASP`, `ALONG`, ... say. With ``track`` 1 the joints' coordinates are written
+    [recordings, 18] is laid out as `GRASP`, `ALONG`, ... say. With ``track`` 1 the joints' coordinates are written
     too. A recording is written at sample ``offset``, or not where that is negative; laws that act by the clock act for
     ``lead`` samples before it.
     """
@@ -503,7 +504,8 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
             start, calm = set_out(e, r, j, place, j == first_of[e], at, m, x_in_out, u_out, fx, s_out, grip, nominal,
                                   begins[j], bound, advance, hold)  # fmt: skip
             zero = nominal - nominal
-            like = ForceState(zero, zero.x, calm, calm, zero - s_out.accel0[r, 0])
+            opened = grip_of(grip, j, OPENED, nominal)
+            like = ForceState(zero, zero.x, calm, calm, zero - s_out.accel0[r, 0], opened)
             replay_samples(e, r, j, place, length[j], offset[j], at, m, x_in_out, u_out, fx, s_out, grip, input_in,
                            lead[j], begins[j], substeps, h, bound, start, like, track, output_out, coordinate_out,
                            advance, law)  # fmt: skip
@@ -533,7 +535,7 @@ def _joint_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
         o = real(0.0, m.mass[e, 1])
         zero = Vec(o, o, o)
         pose = m.turn[e, 1]
-        like = ForceState(zero, o, pose, pose, zero)
+        like = ForceState(zero, o, pose, pose, zero, zero)
         replay_joints(e, r, j, length[j], delay, m, x_in_out, u_out, fx, s_out, driven, hold, watched, input_in,
                       begins[j], substeps, h, bound, like, output_out, advance, law)  # fmt: skip
 

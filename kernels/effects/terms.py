@@ -11,7 +11,8 @@ ones it is built with; the plain step (`articulated`) knows nothing of them.
            axes; ``turn`` of the link; ``area`` [m^2], ``time`` [s]) and returns the force there, world axes [N]. It is
            asked at two points with half of the link's area each, so that a link that turns feels what its length does
            (`strips_of`)
-``force``  ``law(g, p)`` takes a `ForceState` and returns the force that truly acts, from what the sensor recorded [N]
+``force``  ``law(g, p)`` takes a `ForceState` and returns the force that truly acts, from what the sensor recorded [N];
+           ``opened`` is what it reads of an open gripper in the same recording [N], zero where that is not known
 
 ``p`` holds up to six parameters, ``p.a`` to ``p.f``, in the order in which the effect lists them. A ball joint's angle
 is its rotation vector from rest and its rate the angular velocity, both in the link's frame; other joints use x alone.
@@ -203,6 +204,7 @@ def _outer_law_types(Real: Any, Vec: Any, Quat: Any) -> SimpleNamespace:
         turn: Quat
         first: Quat
         gravity: Vec
+        opened: Vec
 
     return SimpleNamespace(LinkState=LinkState, Wrench=Wrench, ForceState=ForceState)
 
@@ -301,7 +303,7 @@ def _add_force(term: Term, types: SimpleNamespace, key: str) -> Any:
     read, law = reader(term, types, key), term.law
 
     def add_own(e: int, i: int, fx: Any, g: Any, sofar: Any):
-        return law(type(g)(sofar, g.contact, g.turn, g.first, g.gravity), read(e, i, fx))
+        return law(type(g)(sofar, g.contact, g.turn, g.first, g.gravity, g.opened), read(e, i, fx))
 
     return function_of(add_own, term, f"add{key}")
 

@@ -10,7 +10,18 @@ from .geometry import add_nuisances, in_doubt
 from .models.at_rest import Noise, noise_of_neighbours, noise_of_repeats
 from .models.contest import Batch
 from .models.fitted import FittedModels, Model
-from .models.levels import LEADERS, better_of, first_level, mirrored, moved, next_level, reduced, refitted, taken_for
+from .models.levels import (
+    LEADERS,
+    begun_again,
+    better_of,
+    first_level,
+    mirrored,
+    moved,
+    next_level,
+    reduced,
+    refitted,
+    taken_for,
+)
 from .models.nested import close, fitted_again, rebased
 from .models.nuisance import Nuisances
 from .models.refit import Fits
@@ -81,6 +92,7 @@ def _searched(base: Base, evidence: Evidence, run: Run) -> Searched:
         fitted.models += moved(fitted.contest, fitted.of_size(1)[:2])
         fitted.models += taken_for(fitted, 1)
         fitted.models += mirrored(fitted.contest, fitted.of_size(1)[:LEADERS])
+        _begin_leaders_again(fitted, 1)
         known = base.noise
         fitted = _recoloured(base, fitted)
     if base.noise is not known:
@@ -156,9 +168,17 @@ def _add_effects(fitted: FittedModels, run: Run) -> None:
         fitted.models += further + reduced(fitted.contest, further[:2]) + mirrored(fitted.contest, further[:2])
         fitted.models += taken_for(fitted, count)
         fitted_again(fitted, count, every=True)
+        _begin_leaders_again(fitted, count)
         fitted.models += reduced(fitted.contest, fitted.of_size(count)[:1])
     if fitted.needs_more(fitted.best):
         fitted.models += widespread(fitted, run.settings.max_effects)
+
+
+def _begin_leaders_again(fitted: FittedModels, size: int) -> None:
+    """Fit the leading models of a size again where the best leaves more than noise."""
+    leaders = fitted.of_size(size)[:LEADERS]
+    if leaders and fitted.needs_more(leaders[0]):
+        begun_again(fitted.contest, leaders)
 
 
 # ---- checkpoint -----------------------------------------------------------------------------------------------------

@@ -195,8 +195,8 @@ def _grip(rollout: ReplayWorlds, recording: Recording) -> Array:
 
     Returns:
         Grasp point [m] and segment's axis in the link's frame, the way down (negative) and up to its ends [m], the
-        point in the world in the given pose [m], the recording's largest force [N], and where it stands before [m],
-        shape [15].
+        point in the world in the given pose [m], the recording's largest force [N], where it stands before [m], and
+        what the sensor reads of an open gripper [N], shape [18].
     """
     system = rollout.system
     assert isinstance(system, BranchSystem)
@@ -208,7 +208,7 @@ def _grip(rollout: ReplayWorlds, recording: Recording) -> Array:
     return np.concatenate([
         links.in_link_frame(link, point), along, [-point[2], branch.length[segment] - point[2]],
         branch.lower_end[segment] + point[2] * branch.axis[segment], [np.linalg.norm(recording.input, axis=1).max()],
-        recording.off,
+        recording.off, recording.opened,
     ])  # fmt: skip
 
 

@@ -33,6 +33,8 @@ class Recording:
         fine: Of a torque fit, motion and efforts under a wider filter, at all samples, shape [T, 3 J + I].
         every: Of a torque fit, how many samples of ``fine`` there are to one that is kept; 0 before any are left out.
         off: Displacement at which a branch stands before it is pulled [m], shape [3]; zero where that is only noise.
+        opened: What a branch's force sensor reads while the gripper is open [N], shape [3], zero where it never is or
+            where that is only noise: the median, which its way back to that reading does not move.
         sways: Whether the branch is off its calm pose or moves where a recording of the case begins: what acts by the
             clock has acted before.
     """
@@ -48,6 +50,7 @@ class Recording:
     fine: Array | None = None
     every: int = 0
     off: Array = field(default_factory=lambda: np.zeros(3))
+    opened: Array = field(default_factory=lambda: np.zeros(3))
     sways: bool = False
 
 
@@ -66,7 +69,7 @@ def recordings(case: BranchCase | JointCase) -> list[Recording]:
         return [
             Recording(t.t, np.where(t.no_contact[:, None], 0.0, t.force), np.hstack([t.displacement, t.velocity]),
                       np.zeros((0, 2)), ~t.no_contact, t.grasp, t.t_start, t.force,
-                      off=standing(t, noise), sways=sways)
+                      off=standing(t, noise), opened=_of_open_gripper(t, noise), sways=sways)
             for t in case.trajectories
         ]  # fmt: skip
     return [
@@ -74,6 +77,13 @@ def recordings(case: BranchCase | JointCase) -> list[Recording]:
                   _first_state(case, t.output, t.t), np.zeros(len(t.t), dtype=bool), None, t.t_start)
         for t in case.trajectories
     ]  # fmt: skip
+
+
+def _of_open_gripper(t: BranchTrajectory, noise: NoiseEstimate) -> Array:
+    count = int(t.no_contact.sum())
+    read = np.median(t.force[t.no_contact], axis=0) if count else np.zeros(3)
+    told = np.abs(read) > FAR * np.sqrt(0.5 * np.pi / max(count, 1)) * noise.force  # a median scatters more than a mean
+    return np.asarray(read * told.any())
 
 
 def standing(t: BranchTrajectory, noise: NoiseEstimate) -> Array:

@@ -41,8 +41,9 @@ def cubic_ball(j: Any, p: Any, r: Any):
 
 _CUBIC = EffectParameter("cubic_radm2", "1/rad^2", lambda s: -1.0 / s.angle**2, lambda s: 20.0 / s.angle**2)
 
-#: A quintic that ends the softening allows for more of it than a cubic that goes on.
-_CUBIC_OF_BRANCH = replace(_CUBIC, low=lambda s: -4.0 / s.angle**2)
+#: A quintic that ends the softening allows for more of it than a cubic that goes on, and a joint may turn by a fraction
+#: of the angle that it would if it turned alone.
+_CUBIC_OF_BRANCH = replace(_CUBIC, low=lambda s: -40.0 / s.angle**2, reach=lambda s: 12.0 / s.angle**2)
 
 EFFECT = register(
     Effect(

@@ -31,6 +31,9 @@ SIDES = (3, 2)
 STARTS, WIDELY = 4, 6
 #: Leading models to which a further effect is added.
 LEADERS = 3
+#: How often leading models are begun again where they ended, and the share of the cost that such a fit must gain for
+#: another.
+BEGINNINGS, GAINED = 4, 0.01
 
 Progress = Callable[[str, int], None]
 
@@ -202,6 +205,22 @@ def _mirrored(contest: Contest, batch: Batch, candidate: int) -> Batch | None:
         free = contest.parameters[column].free(value)
         out.free[:, column] = min(max(free, float(contest.low[column])), float(contest.high[column]))
     return out
+
+
+def begun_again(contest: Contest, models: Sequence[Model]) -> None:
+    """Fit models again from where they ended, as little damped as at first, while they gain by it.
+
+    In a narrow curved valley steps fail until they are short, and a fit that only creeps is taken for settled.
+    """
+    ahead = list(models)
+    for _ in range(BEGINNINGS):
+        if not ahead:
+            break
+        fits = fit(contest, Batch.joined([m.fit.batch for m in ahead]), ITERATIONS[-1])
+        gained = [m.cost - float(fits.cost[s]) > GAINED * m.cost for s, m in enumerate(ahead)]
+        for s, m in enumerate(ahead):
+            m.fit = fits.one(s) if float(fits.cost[s]) < m.cost else m.fit
+        ahead = [m for m, more in zip(ahead, gained, strict=True) if more]
 
 
 def _same_law(contest: Contest, candidate: int, members: Sequence[int]) -> list[int]:

@@ -438,6 +438,20 @@ def test_force_bias_needs_contact(tmp_path):
     assert np.abs(out[-1, :3]).max() < 1e-3
 
 
+def test_what_an_open_gripper_reads_is_the_offset_of_its_recording(tmp_path):
+    """Read 1.2 times the force and an offset that zeroing changed between recordings: take both off again."""
+    offsets = np.array([[0.5, -0.4, 0.3], [-0.2, 0.3, 0.1]])
+    forces = [held(), held(force=-FORCE)]
+    closed = np.repeat([0.0, 1.0, 0.0], [4, 147, len(forces[0]) - 151])[:, None]
+    opened = [(0.0, 0.07), (3.01, 3.98)]
+    true = stick_case(tmp_path / "a", [closed * f for f in forces], opened=opened)
+    read = stick_case(tmp_path / "b", [1.2 * closed * f + b for f, b in zip(forces, offsets, strict=True)],
+                      opened=opened)  # fmt: skip
+    undone = stick(read, force_bias={"opened": 1.0}, force_scale={"scale": 1.2})
+    np.testing.assert_allclose(undone, stick(true), atol=3e-6)
+    assert np.abs(stick(read, force_bias={"opened": 0.9}, force_scale={"scale": 1.2}) - undone).max() > 1e-4
+
+
 @pytest.mark.parametrize(("separate", "quintic"), [(0.0, 0.0), (0.0, 0.5), (1.0, 0.5), (0.4, 1.5)])
 def test_a_softening_spring_holds_a_stick(tmp_path, separate, quintic):
     """Rest where K (phi + kappa phi^3 + lambda kappa^2 phi^5), round or about each axis, and weight balance a force."""

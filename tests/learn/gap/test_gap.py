@@ -19,6 +19,7 @@ from bough.learn.gap.geometry import in_pieces
 from bough.learn.gap.models.candidates import Candidate, everywhere, names_for, probes_of
 from bough.learn.gap.models.contest import Batch, Contest, activated
 from bough.learn.gap.models.fitted import FittedModels, Model
+from bough.learn.gap.models.levels import begun_again
 from bough.learn.gap.models.memory import Remembered
 from bough.learn.gap.models.refit import Fits, bounded, evaluated, fit
 from bough.learn.gap.models.scan import Basis, Scan, score_probes
@@ -123,6 +124,22 @@ def test_bounded_steps_stay_inside_and_leave_no_slope_between_bounds():
     assert float(slope[between].abs().max()) < 1e-9 * float(matrix.abs().max())
 
 
+def test_a_fit_that_stopped_on_its_way_is_begun_again(small, monkeypatch):
+    """Go on from fits of two steps to the minimum of a long fit, and not from a fit that is there."""
+    contest, base = small
+    far = base.batch.copy()
+    far.free[:, : contest.num_base] = contest.typical[: contest.num_base]
+    stopped, there = Model((), fit(contest, far, 1)), Model((), base)
+    begun = []
+    monkeypatch.setattr("bough.learn.gap.models.levels.fit",
+                        lambda contest, batch, _: begun.append(len(batch)) or fit(contest, batch, 2))  # fmt: skip
+    assert stopped.cost > 1.05 * base.cost[0]
+    before = there.cost
+    begun_again(contest, [stopped, there])
+    assert begun[0] == 2 and set(begun[1:]) == {1}
+    assert there.cost <= before and stopped.cost == pytest.approx(float(base.cost[0]), rel=0.02)
+
+
 def test_gain_is_what_a_linear_model_would_explain(small):
     """Explain of a residual made of one column exactly its squares beside what the base takes of it."""
     contest, base = small
@@ -130,7 +147,7 @@ def test_gain_is_what_a_linear_model_would_explain(small):
     index = next(k for k, c in enumerate(contest.candidates) if c.name == "force_bias")
     candidate = contest.candidates[index]
     probe = probes_of(index, candidate, [contest.parameters[c] for c in candidate.columns], contest.settings[0])[0]
-    assert probe.moved == (0, 1, 2)
+    assert probe.moved == (0, 1, 2, 3)
     first = score_probes(contest, basis, [probe], basis.residual[None])
     moved = activated(contest, base.batch, [[index]])
     moved.free[0, candidate.columns[0]] = 0.1 * float(contest.high[candidate.columns[0]])
@@ -141,7 +158,7 @@ def test_gain_is_what_a_linear_model_would_explain(small):
     own = basis.free_of(column)[0]
     second = score_probes(contest, basis, [probe], column)
     assert float(second.gain[0, 0]) == pytest.approx(float(own @ own), rel=1e-3)
-    assert second.strength[0].tolist() == pytest.approx([1.0, 0.0, 0.0], abs=1e-2)
+    assert second.strength[0].tolist() == pytest.approx([1.0, 0.0, 0.0, 0.0], abs=1e-2)
     assert first.gain.shape == (1, 1)
     # what the base would imitate and what is free of it are the whole column
     imitated = second.absorbed[0] @ basis._jacobian[: len(basis.columns)]

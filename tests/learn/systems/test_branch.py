@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from bough.learn.cases.case import load_case
+from bough.learn.cases.noise import estimate_noise
 from bough.learn.replay.recording import Recording, recordings
 from bough.learn.replay.rollout import Rollout
 from bough.learn.replay.simulated_case import Experiment, random_branch, write_simulated_case
@@ -16,6 +18,7 @@ from bough.sim.engine.simulator import Simulator
 from bough.sim.trees.measured import axis_rotation, measured_tree
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.branch_case import make_branch_case
 
 STIFFNESS, DAMPING = np.array([90.0, 40.0, 15.0]), np.array([2.0, 0.8, 0.3])
 SHARE, TILT = np.array([0.6, 1.3, 2.0]), np.array([0.2, -0.15, 0.1])
@@ -189,3 +192,18 @@ def test_box_and_typical_values(case):
     np.testing.assert_allclose([[p.low, p.typical, p.high] for p in spring], beam[:, None] * [1e6, 5e8, 1e11])
     assert [(p.low, p.high) for p in system.parameters[:3]] == [(5.0, 200.0)] * 3
     assert system.parameters[3].low == BranchSystem(case).parameters[3].low
+
+
+def test_what_an_open_gripper_reads(tmp_path):
+    """Read an offset of the open gripper by its median, and none where it is no more than noise."""
+    folder = tmp_path / "c"
+    make_branch_case(folder, 4, segments=1, samples=400, dt=0.01)
+    case = load_case(folder)
+    sigma, t = estimate_noise(case).force, case.trajectories[0]
+    count = int(t.no_contact.sum())
+    assert count > 20
+    rng, offset = np.random.default_rng(0), 0.5 * np.abs(t.force).max() * np.array([1.0, -0.5, 0.2])
+    for shift, told in ((offset, True), (0.0 * offset, False)):
+        t.force[t.no_contact] = shift + sigma * rng.normal(size=(count, 3))
+        read = recordings(case)[0].opened
+        np.testing.assert_allclose(read, shift, atol=5.0 * 1.2533 * sigma.max() / np.sqrt(count) if told else 0.0)
