@@ -15,6 +15,7 @@ from .models.levels import (
     begun_again,
     better_of,
     first_level,
+    led_whole,
     mirrored,
     moved,
     next_level,
@@ -92,6 +93,8 @@ def _searched(base: Base, evidence: Evidence, run: Run) -> Searched:
         fitted.models += moved(fitted.contest, fitted.of_size(1)[:2])
         fitted.models += taken_for(fitted, 1)
         fitted.models += mirrored(fitted.contest, fitted.of_size(1)[:LEADERS])
+        if fitted.needs_more(fitted.best):
+            fitted.models += led_whole(fitted.contest)
         _begin_leaders_again(fitted, 1)
         known = base.noise
         fitted = _recoloured(base, fitted)

@@ -34,16 +34,17 @@ from .target import Target
 Progress = Callable[[str, int], None]
 #: Least noise of a branch's sensors relative to their rms; with exact data rounding errors would count as misfit.
 FINEST = 1e-4
-#: How much wider than all others a recording of joints moves that is never held out.
-WIDER = 1.1
+#: How much wider than all others a recording of joints, and one of a branch, moves that is never held out.
+WIDER, WIDER_BRANCH = 1.1, 2.0
 
 
 def split(case: BranchCase | JointCase) -> tuple[list[int], list[int]]:
     """Return indices of the trajectories to learn from and to hold out.
 
     The split that the case states, if any. Otherwise about a quarter is held out: the last trajectories without
-    replicates, so that no replicate of a held-out one is in the training set. A recording of joints that moves wider
-    than all others is not held out: a law that shows at large angles alone cannot be learnt from small ones. A single
+    replicates, so that no replicate of a held-out one is in the training set; where there is none, those of the last
+    experiment that is repeated. A recording that moves wider than all others, one of a branch twice as wide, is not
+    held out: a law that shows in large motions alone cannot be learnt from small ones. A single
     recording of torques is used for both, because its samples are thousands of experiments.
 
     Raises:
@@ -56,21 +57,32 @@ def split(case: BranchCase | JointCase) -> tuple[list[int], list[int]]:
         return [0], [0]
     if count < 2:
         raise InputError(case.folder / "meta.yaml", "trajectories", f"{count}", "two or more: one is held out")
-    original = {t.replicate_of for t in case.trajectories}
-    single = [i for i, t in enumerate(case.trajectories) if t.replicate_of is None and i not in original]
-    pool, many = single or list(range(count)), max(1, count // 4)
-    if isinstance(case, JointCase) and len(pool) > many:
-        pool = [i for i in pool if i != _widest(case)]
-    held = pool[-many:]
+    experiments, widest, many = _experiments(case), _widest(case), max(1, count // 4)
+    pool = [g[0] for g in experiments if len(g) == 1] or list(range(count))
+    if pool == [widest] and len(experiments) > 1:
+        held = [g for g in experiments if widest not in g][-1]
+    else:
+        held = [i for i in pool if i != widest or len(pool) <= many][-many:]
     return [i for i in range(count) if i not in held], held
 
 
-def _widest(case: JointCase) -> int | None:
-    """Return the trajectory that moves wider than every other one by the factor `WIDER`, None if there is none."""
-    span = np.array([np.ptp(t.output, axis=0) for t in case.trajectories])
-    size = (span / np.maximum(span.max(axis=0), 1e-300)).mean(axis=1)
+def _experiments(case: BranchCase | JointCase) -> list[list[int]]:
+    """Return the trajectories of every experiment, its replicates with it, in the order of their first ones."""
+    groups: dict[int, list[int]] = {}
+    for i, t in enumerate(case.trajectories):
+        groups.setdefault(i if t.replicate_of is None else t.replicate_of, []).append(i)
+    return list(groups.values())
+
+
+def _widest(case: BranchCase | JointCase) -> int | None:
+    """Return the trajectory that moves wider than every other one by its factor `WIDER`, None if there is none."""
+    if isinstance(case, BranchCase):
+        size, wider = np.array([np.ptp(t.displacement, axis=0).max() for t in case.trajectories]), WIDER_BRANCH
+    else:
+        span = np.array([np.ptp(t.output, axis=0) for t in case.trajectories])
+        size, wider = (span / np.maximum(span.max(axis=0), 1e-300)).mean(axis=1), WIDER
     widest = int(size.argmax())
-    return widest if size[widest] > WIDER * np.delete(size, widest).max() else None
+    return widest if size[widest] > wider * np.delete(size, widest).max() else None
 
 
 def folds(case: BranchCase | JointCase, count: int) -> list[list[int]]:
@@ -79,16 +91,13 @@ def folds(case: BranchCase | JointCase, count: int) -> list[list[int]]:
     Raises:
         InputError: There are fewer experiments than folds.
     """
-    groups: dict[int, list[int]] = {}
-    for i, t in enumerate(case.trajectories):
-        groups.setdefault(i if t.replicate_of is None else t.replicate_of, []).append(i)
+    groups = _experiments(case)
     if len(groups) < count:
         found = f"{len(groups)} different ones"
         raise InputError(
             case.folder / "meta.yaml", "trajectories", found, f"at least as many as the {count} folds of --cv"
         )
-    ordered = list(groups.values())
-    return [sorted(i for g in ordered[k::count] for i in g) for k in range(count)]
+    return [sorted(i for g in groups[k::count] for i in g) for k in range(count)]
 
 
 def pooled_sigma(case: BranchCase | JointCase, noise: NoiseEstimate) -> Array:

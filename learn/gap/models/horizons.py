@@ -19,8 +19,11 @@ def led(contest: Contest, batch: Batch) -> Batch:
 
     Branches and torque fits, which have no start states to learn, are returned as they are.
     """
-    if not batch.start.numel():
-        return batch
+    return led_on(contest, batch) if batch.start.numel() else batch
+
+
+def led_on(contest: Contest, batch: Batch) -> Batch:
+    """Return models fitted to growing shares of every recording, from their guessed start states if they have any."""
     out = Batch(batch.free, batch.active, contest.start0.expand_as(batch.start).clone(), batch.weight)
     for share in SHARES:
         out = fit(contest.beginnings(share), out, STEPS).batch

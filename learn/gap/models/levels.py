@@ -13,10 +13,10 @@ import torch
 
 from ....sim.effects import effect_of
 from ...cases.case import BranchCase
-from .contest import Batch, Contest
+from .contest import Batch, Contest, activated
 from .fitted import FittedModels, Model, penalty
 from .frequencies import frequency_probes
-from .horizons import led
+from .horizons import led, led_on
 from .refit import Fits, evaluated, fit
 from .scan import Basis, Scan, all_probes, score_probes, start_batch
 
@@ -221,6 +221,23 @@ def begun_again(contest: Contest, models: Sequence[Model]) -> None:
         for s, m in enumerate(ahead):
             m.fit = fits.one(s) if float(fits.cost[s]) < m.cost else m.fit
         ahead = [m for m, more in zip(ahead, gained, strict=True) if more]
+
+
+def led_whole(contest: Contest) -> list[Model]:
+    """Return models of each law of the whole branch, led from typical values through growing shares of recordings.
+
+    A mass or a trunk changes every period: springs that make up for it are a false minimum, from which no step leads
+    the law to its place, and which the many swings of a release surround with others.
+    """
+    if not isinstance(contest.case, BranchCase):
+        return []
+    whole = [k for k, c in enumerate(contest.candidates) if c.acting.joint is None]
+    if not whole:
+        return []
+    begun = activated(contest, contest.base_batch(len(whole)), [[k] for k in whole])
+    begun.free = torch.where(begun.active, contest.typical, begun.free)
+    out = led_on(contest, begun)
+    return _settled(contest, [((k,), out[slice(n, n + 1)]) for n, k in enumerate(whole)], ITERATIONS[-1])
 
 
 def _same_law(contest: Contest, candidate: int, members: Sequence[int]) -> list[int]:

@@ -2,12 +2,13 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 import yaml
-from bough.learn.cases.case import load_case
+from bough.learn.cases.case import BranchCase, load_case
 from bough.learn.inference.identify import Settings, identify, run, split
 from bough.learn.inference.target import Target
 from bough.learn.replay.recording import recordings
@@ -86,6 +87,26 @@ def test_split_holds_out_what_nothing_repeats(branch):
     assert len(test) == 2
     repeated = {t.replicate_of for t in case.trajectories}
     assert all(case.trajectories[j].replicate_of is None and j not in repeated for j in test)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "replicate_of", "held"),
+    [
+        ([1.0, 0.9, 0.8, 2.5], [None] * 4, [2]),  # what moves wider than twice all others is learnt from
+        ([1.0, 0.9, 0.8, 1.7], [None] * 4, [3]),
+        ([3.0, 1.0, 1.0], [None, None, 1], [1, 2]),  # an experiment is held out with its replicates
+        ([1.2, 1.0, 1.0], [None, None, 1], [0]),
+        ([3.0, 1.0], [None, None], [1]),
+    ],
+)
+def test_split_learns_from_the_widest(sizes, replicate_of, held):
+    """Hold out no recording of a branch that moves twice as wide as all others."""
+    rows = np.linspace(-0.5, 0.5, 9)[:, None] * [0.02, 0.0, 0.01]
+    made = [SimpleNamespace(displacement=s * rows, replicate_of=of) for s, of in zip(sizes, replicate_of, strict=True)]
+    case = object.__new__(BranchCase)
+    object.__setattr__(case, "trajectories", made)
+    train, test = split(case)
+    assert test == held and sorted(train + test) == list(range(len(sizes)))
 
 
 def test_too_little_to_hold_out(tmp_path):
