@@ -34,7 +34,8 @@ from .target import Target
 Progress = Callable[[str, int], None]
 #: Least noise of a branch's sensors relative to their rms; with exact data rounding errors would count as misfit.
 FINEST = 1e-4
-#: How much wider than all others a recording of joints, and one of a branch, moves that is never held out.
+#: How much wider than all others a recording of joints moves that is never held out, and how much wider one of a branch
+#: moves or how much harder it is pulled.
 WIDER, WIDER_BRANCH = 1.1, 2.0
 
 
@@ -43,9 +44,9 @@ def split(case: BranchCase | JointCase) -> tuple[list[int], list[int]]:
 
     The split that the case states, if any. Otherwise about a quarter is held out: the last trajectories without
     replicates, so that no replicate of a held-out one is in the training set; where there is none, those of the last
-    experiment that is repeated. A recording that moves wider than all others, one of a branch twice as wide, is not
-    held out: a law that shows in large motions alone cannot be learnt from small ones. A single
-    recording of torques is used for both, because its samples are thousands of experiments.
+    experiment that is repeated. A recording that moves wider than all others, one of a branch twice as wide or pulled
+    twice as hard, is not held out: a law that shows there alone cannot be learnt from the others. A single recording
+    of torques is used for both, because its samples are thousands of experiments.
 
     Raises:
         InputError: There are fewer than two trajectories.
@@ -75,14 +76,19 @@ def _experiments(case: BranchCase | JointCase) -> list[list[int]]:
 
 
 def _widest(case: BranchCase | JointCase) -> int | None:
-    """Return the trajectory that moves wider than every other one by its factor `WIDER`, None if there is none."""
+    """Return the trajectory that moves wider than every other one by `WIDER`, or is pulled harder; None if none."""
     if isinstance(case, BranchCase):
-        size, wider = np.array([np.ptp(t.displacement, axis=0).max() for t in case.trajectories]), WIDER_BRANCH
-    else:
-        span = np.array([np.ptp(t.output, axis=0) for t in case.trajectories])
-        size, wider = (span / np.maximum(span.max(axis=0), 1e-300)).mean(axis=1), WIDER
-    widest = int(size.argmax())
-    return widest if size[widest] > wider * np.delete(size, widest).max() else None
+        spans = ([np.ptp(t.displacement, axis=0).max() for t in case.trajectories],
+                 [np.ptp(t.force, axis=0).max() for t in case.trajectories])  # fmt: skip
+        return next((i for span in spans if (i := _largest(np.array(span), WIDER_BRANCH)) is not None), None)
+    span = np.array([np.ptp(t.output, axis=0) for t in case.trajectories])
+    return _largest((span / np.maximum(span.max(axis=0), 1e-300)).mean(axis=1), WIDER)
+
+
+def _largest(size: Array, factor: float) -> int | None:
+    """Return the entry that is larger than every other one by a factor, None if there is none."""
+    largest = int(size.argmax())
+    return largest if size[largest] > factor * np.delete(size, largest).max() else None
 
 
 def folds(case: BranchCase | JointCase, count: int) -> list[list[int]]:

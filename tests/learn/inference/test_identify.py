@@ -90,19 +90,21 @@ def test_split_holds_out_what_nothing_repeats(branch):
 
 
 @pytest.mark.parametrize(
-    ("sizes", "replicate_of", "held"),
+    ("sizes", "forces", "replicate_of", "held"),
     [
-        ([1.0, 0.9, 0.8, 2.5], [None] * 4, [2]),  # what moves wider than twice all others is learnt from
-        ([1.0, 0.9, 0.8, 1.7], [None] * 4, [3]),
-        ([3.0, 1.0, 1.0], [None, None, 1], [1, 2]),  # an experiment is held out with its replicates
-        ([1.2, 1.0, 1.0], [None, None, 1], [0]),
-        ([3.0, 1.0], [None, None], [1]),
+        ([1.0, 0.9, 0.8, 2.5], [1.0, 1.0, 1.0, 1.0], [None] * 4, [2]),  # what moves twice as wide is learnt from
+        ([1.0, 0.9, 0.8, 1.7], [1.0, 1.0, 1.0, 1.9], [None] * 4, [3]),
+        ([1.0, 0.9, 0.8, 0.7], [1.0, 0.9, 0.8, 2.2], [None] * 4, [2]),  # so is what is pulled twice as hard
+        ([3.0, 1.0, 1.0], [1.0, 1.0, 1.0], [None, None, 1], [1, 2]),  # an experiment is held out with its replicates
+        ([1.2, 1.0, 1.0], [1.0, 1.0, 1.0], [None, None, 1], [0]),
+        ([3.0, 1.0], [1.0, 1.0], [None, None], [1]),
     ],
 )
-def test_split_learns_from_the_widest(sizes, replicate_of, held):
-    """Hold out no recording of a branch that moves twice as wide as all others."""
+def test_split_learns_from_the_widest(sizes, forces, replicate_of, held):
+    """Hold out no recording of a branch that moves twice as wide as all others, or is pulled twice as hard."""
     rows = np.linspace(-0.5, 0.5, 9)[:, None] * [0.02, 0.0, 0.01]
-    made = [SimpleNamespace(displacement=s * rows, replicate_of=of) for s, of in zip(sizes, replicate_of, strict=True)]
+    made = [SimpleNamespace(displacement=s * rows, force=f * rows, replicate_of=of)
+            for s, f, of in zip(sizes, forces, replicate_of, strict=True)]  # fmt: skip
     case = object.__new__(BranchCase)
     object.__setattr__(case, "trajectories", made)
     train, test = split(case)
