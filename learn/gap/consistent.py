@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from ...sim.effects import effect_of
-from .decide import probe_for
+from .decide import probe_for, within_noise
 from .diagnosis import Diagnosis, joints_of, together
 from .evidence import ALARM, LACK, lack_of
 
@@ -120,11 +120,18 @@ def _finite(d: Diagnosis) -> str | None:
 
 
 def _none_but_large(d: Diagnosis) -> str | None:
-    """Nothing is missing: then the p-value is above the alarm, or the effect is smaller than the tolerance."""
+    """Nothing is missing: then the p-value is above the alarm, or the effect is smaller than the tolerance or noise."""
     if d.verdict != "none" or d.p_null > ALARM or d.size < d.settings.tolerance:
+        return None
+    if _within_noise(d):
         return None
     return (f"an effect is significant (p = {d.p_null:.1g}) and changes the motion by {percent(d.size)}, which is above"
             f" the tolerance of {percent(d.settings.tolerance)}")  # fmt: skip
+
+
+def _within_noise(d: Diagnosis) -> bool:
+    """Return whether the base model leaves no more than noise, and no effect changes much of the motion."""
+    return within_noise(d.case, d.base_reduced_chi2) and d.size < MUCH
 
 
 def _none_but_far(d: Diagnosis) -> str | None:
@@ -286,6 +293,8 @@ def _none(d: Diagnosis) -> str:
     if not significant(d) and not far(d):
         return f"No missing effect is detectable in these data: {numbers}."
     nothing = f"Nothing larger than the tolerance of {percent(d.settings.tolerance)} of the motion is missing"
+    if d.p_null <= ALARM and d.size >= d.settings.tolerance:
+        nothing = f"Nothing larger than the noise is missing (reduced chi-squared {d.base_reduced_chi2:.3g})"
     if d.p_null <= ALARM:
         best = f"the best candidate changes the motion by {percent(d.size)} (p = {d.p_null:.1g}; {numbers})"
         return f"{nothing}: {best}."

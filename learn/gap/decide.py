@@ -59,6 +59,9 @@ KEPT, LOST = 0.6, 0.1
 TIED = 12.0
 #: Share of the excess by which a law may explain less than one that ends where it becomes this law.
 TURNED = 0.03
+#: Reduced chi-squared of a branch's base up to which nothing is missing, however rare the gain of an effect would be
+#: by chance: two simulators of one branch differ by as much. Bases that right names repaired left 1.43 or more.
+NOISE_ALONE = 1.05
 #: Share of its box from an end, on its own scale, within which a parameter is said to be at its bound.
 NEAR = 0.01
 
@@ -119,11 +122,17 @@ def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> 
         return "unknown", ()
     models = searched.fitted
     small = searched.p_value > ALARM or size(models, model, base.motion) < tolerance
+    small = small or within_noise(models.contest.case, models.reduced_chi2(models.base))
     if small and not lacks_fit(models, tolerance * base.motion):
         return "none", ()
     off = doubtful(models, model)
     claimed = not off and not stretched(models, model) and known(models, model)
     return "effects" if claimed else "unknown", off
+
+
+def within_noise(case: BranchCase | JointCase, base_reduced_chi2: float) -> bool:
+    """Return whether a base model of a branch leaves so little that nothing can be said to be missing."""
+    return isinstance(case, BranchCase) and base_reduced_chi2 <= NOISE_ALONE
 
 
 def _turned_into(fitted: FittedModels, model: Model) -> Model:

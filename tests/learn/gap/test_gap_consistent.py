@@ -116,7 +116,7 @@ def contradictions(found: Diagnosis, text: str) -> list[str]:
         excess = max(excess, math.sqrt(found.base_reduced_chi2 - 1.0) / found.motion)
     claims = {
         "nothing": "No missing effect is detectable" in text or "Nothing is missing" in text,
-        "small": "Nothing larger than the tolerance" in found.sentence or "Nothing that matters" in text,
+        "small": "Nothing larger than the" in found.sentence or "Nothing that matters" in text,
         "lacks": "The model lacks" in text, "something": "Something is missing" in text,
         "no verdict": "No verdict" in text or "cannot support a verdict" in text or "give no verdict" in text,
     }  # fmt: skip
@@ -127,7 +127,8 @@ def contradictions(found: Diagnosis, text: str) -> list[str]:
             "unknown": claims["something"] or "name nothing that is missing" in text}[found.verdict],
         "nothing beside a p-value or an error that says otherwise": not claims["nothing"] or not (sure or ratio > FAR),
         "small beside an effect that is not": not claims["small"] or min(excess, found.size or excess) <= 0.0055 or (
-            found.p_null <= ALARM and found.size < 0.0055),
+            found.p_null <= ALARM and found.size < 0.0055) or (
+            "larger than the noise" in found.sentence and found.base_reduced_chi2 <= 1.05 and found.size < 0.05),
         "small beside a large error": not claims["small"] or ratio <= FAR or excess <= 0.0055,
         "something without evidence": not claims["something"] or sure,
         "a name without evidence": not claims["lacks"] or sure,
@@ -216,6 +217,8 @@ NAMED = PLAIN | {"verdict": "effects", "p": 1e-9, "explained": 0.95, "chi2": 5.0
         (PLAIN | {"chi2": 1.3}, "none", "No missing effect is detectable"),
         (PLAIN | {"chi2": 1.5}, "unknown", "leaves 2.4 % of the motion beyond the noise"),
         (PLAIN | {"p": 1e-5, "size": 0.02}, "unknown", "an effect is significant"),
+        (PLAIN | {"p": 1e-5, "size": 0.02, "chi2": 1.04}, "none", "Nothing larger than the noise is missing"),
+        (PLAIN | {"p": 1e-5, "size": 0.06, "chi2": 1.04}, "unknown", "an effect is significant"),
         (NAMED, "effects", "reduces the held-out RMSE from 0.03 to 0.0101 m"),
         (NAMED | {"repaired": 0.06}, "unknown", "grows from 0.03 m to 0.06 m"),
         (NAMED | {"repaired": 0.03}, "unknown", "stays at 0.03 m"),
