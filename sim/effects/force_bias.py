@@ -10,13 +10,7 @@ from .registry import Effect, EffectParameter, Law, register
 
 @wp.func
 def force_bias(g: Any, p: Any):
-    """F = F_s - c b; c is 1 in contact, where the sensor is read."""
-    return g.force - type(g.force)(p.a, p.b, p.c) * g.contact
-
-
-@wp.func
-def force_biases(g: Any, p: Any):
-    """F = F_s - c (b + w o_j); o_j is what the sensor reads in recording j of an open gripper."""
+    """F = F_s - c (b + w o_j); c is 1 in contact, where the sensor is read, o_j what it reads of an open gripper."""
     return g.force - (type(g.force)(p.a, p.b, p.c) + g.opened * p.d) * g.contact
 
 
@@ -38,7 +32,7 @@ EFFECT = register(
         signature="a constant force is missing while the gripper holds, which the sensor reads of an open one too",
         mistaken_for=("steady_wind", "gravity_comp_error"),
         probe="rows with the gripper open; holds in opposite directions",
-        branch=Law("force", (*(_bias(f"force_{c}_N", "N") for c in "xyz"), _OPENED), force_biases, per_joint=False),
+        branch=Law("force", (*(_bias(f"force_{c}_N", "N") for c in "xyz"), _OPENED), force_bias, per_joint=False),
         joint=Law("force", (_bias("effort_N", "N m or N"),), force_bias),
     )
 )

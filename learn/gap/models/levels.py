@@ -229,13 +229,11 @@ def led_whole(contest: Contest) -> list[Model]:
     A mass or a trunk changes every period: springs that make up for it are a false minimum, from which no step leads
     the law to its place, and which the many swings of a release surround with others.
     """
-    if not isinstance(contest.case, BranchCase):
-        return []
     whole = [k for k, c in enumerate(contest.candidates) if c.acting.joint is None]
-    if not whole:
+    if not whole or not isinstance(contest.case, BranchCase):
         return []
     begun = activated(contest, contest.base_batch(len(whole)), [[k] for k in whole])
-    begun.free = torch.where(begun.active, contest.typical, begun.free)
+    begun.free = contest.typical.expand_as(begun.free).clone()
     out = led_on(contest, begun)
     return _settled(contest, [((k,), out[slice(n, n + 1)]) for n, k in enumerate(whole)], ITERATIONS[-1])
 
