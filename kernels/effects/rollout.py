@@ -5,9 +5,10 @@ leaves is there in the next. Without a term that persists it replays one.
 
 A point of a link is pushed by the force F that the sensor's laws make of what it recorded, where the gripper holds,
 
-    x = x_link + R (p + z u) - x_start,   v = v_link + w x R (p + z u) + z' R u
+    x = x_link + R (p + c z u) - x_start,   v = v_link + w x R (p + c z u) + c z' R u
 
-p the grasp point, u the segment's direction, z how far the grip has slid. A law's time is the recording's own.
+p the grasp point, u the segment's direction, z how far the grip has slid, c the share of that which the tracker sees. A
+law's time is the recording's own.
 """
 
 from functools import cache
@@ -47,7 +48,8 @@ CLOSED = wp.constant(3)
 SENSED = wp.constant(4)
 #: Columns of ``grip``: grasp point and direction of the segment in the link's frame, how far the grip may slide down
 #: (negative) and up, the point in the world in the given pose [m], the recording's largest force [N], how far off
-#: its calm place the point stands before [m], and what the sensor reads of an open gripper [N].
+#: its calm place the point stands before [m], what the sensor reads of an open gripper [N], and the level unit vector
+#: that the gripper faces.
 GRASP = wp.constant(0)
 ALONG = wp.constant(3)
 DOWN = wp.constant(6)
@@ -56,6 +58,10 @@ GIVEN = wp.constant(8)
 PEAK = wp.constant(11)
 OFF = wp.constant(12)
 OPENED = wp.constant(15)
+HEADING = wp.constant(18)
+
+#: Which parameter of a slip is the share that the tracker sees.
+SEEN = wp.constant(5)
 
 #: Least time constant of a tracker, in samples, so that powers of a sample over it stay finite.
 LEAST_LAG = wp.constant(wp.float64(1.0e-3))
@@ -169,7 +175,7 @@ def acting(
     e: int, fx: Any, delay: int, input_in: wp.array3d(dtype=wp.float64), now: Moment, n: int, ends: int,
     rate: wp.float64, pose: Any, like: Any, law: wp.Function,
 ):  # fmt: skip
-    """Force that acts in the middle of a step; ``like`` is a `ForceState` of the recording."""
+    """Force that acts in the middle of a step; ``like`` is a `ForceState` of the recording where it begins."""
     o = real(0.0, like.contact)
     recorded = type(like.force)(
         drawn(e, fx, delay, input_in, now, n, 0, SENSED + 0, ends, rate, o),
@@ -180,7 +186,8 @@ def acting(
     held = real(wp.min(closed, wp.float64(1.0)), o)
     recorded = recorded * held  # a late sensor still feels what an open gripper does not
     contact = drawn(e, fx, delay, input_in, now, n, CLOSED, SENSED + CLOSED, ends, rate, o) * held
-    return law(e, 0, fx, type(like)(recorded, contact, pose, like.first, like.gravity, like.opened))
+    time = like.time + real((wp.float64(now.sample) + share_of(now)) / rate, o)
+    return law(e, 0, fx, type(like)(recorded, contact, pose, like.first, like.gravity, like.opened, like.heading, time))
 
 
 # ---- the grip --------------------------------------------------------------------------------------------------------
@@ -253,7 +260,7 @@ def look(e: int, row: int, place: int, k: int, is_first: bool, at: Slots, s: Any
     slip = type(nominal)(o, o, o)
     if is_on(e, at.slip, fx):
         z = fx.memory[e, at.slip_row * fx.stride]
-        axis = rotate(s.pose[row, place], along)
+        axis = rotate(s.pose[row, place], along) * fx.parameter[e, (at.slip * PARAMETERS + SEEN) * fx.stride]
         arm = add_scaled(arm, axis, z.x)
         slip = axis * z.y
     p = s.accel[row, place] + arm - start
@@ -423,7 +430,10 @@ def drive(
         i = driven[d]
         recorded = drawn(e, fx, delay, input_in, now, n, d, d, NEVER, rate, o)
         pose = s.pose[row, i]
-        felt = type(like)(type(like.force)(recorded, o, o), real(1.0, o), pose, pose, like.gravity, like.opened)
+        felt = type(like)(
+            type(like.force)(recorded, o, o), real(1.0, o), pose, pose, like.gravity, like.opened, like.heading,
+            like.time,
+        )  # fmt: skip
         effort = u.effort[e, i]
         effort.x = law(e, i, fx, felt).x
         u.effort[e, i] = effort
@@ -505,7 +515,9 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
                                   begins[j], bound, advance, hold)  # fmt: skip
             zero = nominal - nominal
             opened = grip_of(grip, j, OPENED, nominal)
-            like = ForceState(zero, zero.x, calm, calm, zero - s_out.accel0[r, 0], opened)
+            heading = grip_of(grip, j, HEADING, nominal)
+            like = ForceState(zero, zero.x, calm, calm, zero - s_out.accel0[r, 0], opened, heading,
+                              real(begins[j], zero.x))  # fmt: skip
             replay_samples(e, r, j, place, length[j], offset[j], at, m, x_in_out, u_out, fx, s_out, grip, input_in,
                            lead[j], begins[j], substeps, h, bound, start, like, track, output_out, coordinate_out,
                            advance, law)  # fmt: skip
@@ -535,7 +547,7 @@ def _joint_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
         o = real(0.0, m.mass[e, 1])
         zero = Vec(o, o, o)
         pose = m.turn[e, 1]
-        like = ForceState(zero, o, pose, pose, zero, zero)
+        like = ForceState(zero, o, pose, pose, zero, zero, zero, o)
         replay_joints(e, r, j, length[j], delay, m, x_in_out, u_out, fx, s_out, driven, hold, watched, input_in,
                       begins[j], substeps, h, bound, like, output_out, advance, law)  # fmt: skip
 

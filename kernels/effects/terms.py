@@ -12,7 +12,8 @@ ones it is built with; the plain step (`articulated`) knows nothing of them.
            asked at two points with half of the link's area each, so that a link that turns feels what its length does
            (`strips_of`)
 ``force``  ``law(g, p)`` takes a `ForceState` and returns the force that truly acts, from what the sensor recorded [N];
-           ``opened`` is what it reads of an open gripper in the same recording [N], zero where that is not known
+           ``opened`` is what it reads of an open gripper in the same recording [N], ``heading`` the level unit vector
+           that the gripper faces, each zero where it is not known; ``time`` [s]
 
 ``p`` holds up to six parameters, ``p.a`` to ``p.f``, in the order in which the effect lists them. A ball joint's angle
 is its rotation vector from rest and its rate the angular velocity, both in the link's frame; other joints use x alone.
@@ -96,6 +97,8 @@ class Term(NamedTuple):
         persistent: Whether that memory outlasts a recording (damage), or is zero at the start of each.
         holds: Device function of the torque that the law holds at rest, see `held`; None where it holds none.
         precedes: Whether it acts by the clock, and so has moved a branch before a recording begins.
+        strains: Device function as of kind ``joint`` of what a law of another kind does at joints as well, without a
+            memory; None where it does nothing there.
     """
 
     name: str
@@ -107,6 +110,12 @@ class Term(NamedTuple):
     persistent: bool = False
     holds: Any = None
     precedes: bool = False
+    strains: Any = None
+
+    @property
+    def at_joint(self) -> Any:
+        """Device function of what it does at joints; None where it does nothing there."""
+        return self.law if self.kind == "joint" else self.strains
 
 
 def slot_of(terms: tuple[Term, ...], kind: str) -> int:
@@ -116,7 +125,13 @@ def slot_of(terms: tuple[Term, ...], kind: str) -> int:
 
 def group_place(terms: tuple[Term, ...], kind: str) -> int:
     """Return where ``active`` tells whether any term of a kind is on, -1 where there is none."""
-    return len(terms) + GROUPS.index(kind) if any(term.kind == kind for term in terms) else -1
+    used = any(acts(term, kind) for term in terms)
+    return len(terms) + GROUPS.index(kind) if used else -1
+
+
+def acts(term: Term, kind: str) -> bool:
+    """Return whether a law acts in the way of a kind."""
+    return term.kind == kind or (kind == "joint" and term.at_joint is not None)
 
 
 def memory_row(terms: tuple[Term, ...], slot: int) -> int:
@@ -205,6 +220,8 @@ def _outer_law_types(Real: Any, Vec: Any, Quat: Any) -> SimpleNamespace:
         first: Quat
         gravity: Vec
         opened: Vec
+        heading: Vec
+        time: Real
 
     return SimpleNamespace(LinkState=LinkState, Wrench=Wrench, ForceState=ForceState)
 
@@ -266,7 +283,7 @@ def reader(term: Term, types: SimpleNamespace, key: str) -> Any:
 
 def _add_joint(term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
     """Device function that adds a law's response at a joint to that of those before it."""
-    read, law, memory, LongResponse = reader(term, types, key), term.law, term.memory, types.LongResponse
+    read, law, memory, LongResponse = reader(term, types, key), term.at_joint, term.memory, types.LongResponse
 
     def add_own(e: int, i: int, fx: Any, j: Any, r: Any, sofar: Any):
         k = row * fx.stride + i
@@ -303,7 +320,7 @@ def _add_force(term: Term, types: SimpleNamespace, key: str) -> Any:
     read, law = reader(term, types, key), term.law
 
     def add_own(e: int, i: int, fx: Any, g: Any, sofar: Any):
-        return law(type(g)(sofar, g.contact, g.turn, g.first, g.gravity, g.opened), read(e, i, fx))
+        return law(type(g)(sofar, g.contact, g.turn, g.first, g.gravity, g.opened, g.heading, g.time), read(e, i, fx))
 
     return function_of(add_own, term, f"add{key}")
 
@@ -333,7 +350,7 @@ def nothing(x: Any):
 
 def laws_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
     """Return the device function that applies all terms of a kind, in their order."""
-    own = [term for term in terms if term.kind == kind]
+    own = [term for term in terms if acts(term, kind)]
     slots, count = [term.slot for term in own], len(own)
     if kind == "joint":
         adds = [_add_joint(term, types, key, memory_row(terms, term.slot)) for term in own]

@@ -69,7 +69,14 @@ def _probe(nearest: str | None) -> str:
 
 
 def far(found: Diagnosis) -> bool:
-    """Return whether the base model's held-out error is more than noise: the less above it, the more must be missed."""
+    """Return whether the base model's held-out error is more than noise: the less above it, the more must be missed.
+
+    Not where a fit to all recordings leaves noise alone: those it was fitted to leave open what the others ask for.
+    """
+    return _beyond(found) and not _within_noise(found)
+
+
+def _beyond(found: Diagnosis) -> bool:
     base, floor = found.gap.base, found.gap.noise_floor
     return base > FAR * floor or (base > FAR_OF_MUCH * floor and missed(found) > MUCH)
 
@@ -302,7 +309,10 @@ def _none(d: Diagnosis) -> str:
 
 
 def _beside(d: Diagnosis) -> str:
-    """Return what of an error beyond the noise the file's own uncertainty accounts for."""
+    """Return what of an error beyond the noise is no missing effect."""
+    if _beyond(d) and not far(d):
+        return (f", which a fit to all recordings does not leave (reduced chi-squared {d.base_reduced_chi2:.3g}):"
+                f" without those held out, springs or dampers stay open")  # fmt: skip
     if not far(d) or d.geometry.share <= d.settings.tolerance:
         return ""
     return f", of which geometry and mountings, no further off than the file allows, make {percent(d.geometry.share)}"

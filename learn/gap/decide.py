@@ -156,10 +156,14 @@ def _turned_into(fitted: FittedModels, model: Model) -> Model:
 
 
 def _becomes(fitted: FittedModels, model: Model, candidate: int) -> list[str]:
-    """Return the names of the laws that a law turns into at the upper ends of its box where its parameters are."""
-    own = fitted.contest.candidates[candidate]
-    return [s.becomes for k, s in zip(own.columns, own.specs, strict=True)
-            if s.becomes and _way_up(fitted, model, k) >= 1.0 - NEAR]  # fmt: skip
+    """Return the names of the laws that a law turns into at the ends of its box where its parameters are."""
+    own, out = fitted.contest.candidates[candidate], []
+    for k, s in zip(own.columns, own.specs, strict=True):
+        if s.becomes and _way_up(fitted, model, k) >= 1.0 - NEAR:
+            out.append(s.becomes)
+        if s.below and _way_up(fitted, model, k) <= NEAR:
+            out.append(s.below)
+    return out
 
 
 def _way_up(fitted: FittedModels, model: Model, column: int) -> float:

@@ -10,6 +10,7 @@ from .geometry import add_nuisances, in_doubt
 from .models.at_rest import Noise, noise_of_neighbours, noise_of_repeats
 from .models.contest import Batch
 from .models.fitted import FittedModels, Model
+from .models.idle import spare
 from .models.levels import (
     LEADERS,
     begun_again,
@@ -136,6 +137,7 @@ def _closed(base: Base, fitted: FittedModels, evidence: Evidence, run: Run) -> E
         for size in sorted({len(m.members) for m in fitted.models}):
             fitted_again(fitted, size)
         close(fitted)
+        spare(fitted)
     moved = before.cost - fitted.base.cost > max(FALSE * before.cost, MOVED * fitted.contest.overdispersion)
     evidence = bootstrap_test(base, run) if moved else evidence
     return retested(base, fitted.best, evidence, run)
@@ -207,7 +209,8 @@ def restored(base: Base, run: Run) -> Searched | None:
     base.noise = Noise(state["sigma"].cpu().numpy(), base.noise.spectrum)
     contest.nuisance, contest.overdispersion = Nuisances(**state["nuisance"]), state["overdispersion"]
     contest.colour = None if state["colour"] is None else Colour(**state["colour"])
-    models = [Model(m["members"], Fits(**{**m["fit"], "batch": Batch(**m["fit"]["batch"])}), m["settled"], m["rests"])
+    models = [Model(m["members"], Fits(**{**m["fit"], "batch": Batch(**m["fit"]["batch"])}), m["settled"], m["rests"],
+                    m["idle"])
               for m in state["models"]]  # fmt: skip
     base.fit = models[0].fit
     return Searched(FittedModels(contest, models[0], models[1:]), state["p_value"])

@@ -182,7 +182,7 @@ def _again(
     chosen = _leading(searched.fitted, decision)
     batch = _within(contest, Batch.joined([m.fit.batch for m in chosen]), variant.recordings)
     fits = fit(contest, batch, STEPS)
-    models = [Model(m.members, fits.one(s), True, m.rests) for s, m in enumerate(chosen)]
+    models = [Model(m.members, fits.one(s), True, m.rests, m.idle) for s, m in enumerate(chosen)]
     models = _settled(contest, models, set(decision.model.members))
     fitted = FittedModels(contest, models[0], models[1:])
     contest.overdispersion = fitted.overdispersion

@@ -10,7 +10,7 @@ import torch
 import warp as wp
 
 from ...kernels.effects.rollout import effect_rollout_kernels
-from ...kernels.effects.terms import GROUPS, PARAMETERS, effect_types, memory_row
+from ...kernels.effects.terms import GROUPS, PARAMETERS, acts, effect_types, memory_row
 from ...sim.base.errors import InputError
 from ...sim.base.rotation import quat_rotate
 from ...sim.base.types import Array
@@ -98,7 +98,7 @@ class EffectArrays:
         marks = acting.marks(columns)
         rollout.place_marks(self.arrays["settle"], marks)
         on, terms = acting.switched_on(columns), self.terms
-        of_kind = ([x.kind == "joint" for x in terms], [x.kind == "link" for x in terms], [x.persistent for x in terms],
+        of_kind = ([acts(x, "joint") for x in terms], [acts(x, "link") for x in terms], [x.persistent for x in terms],
                    [x.holds is not None for x in terms], [x.precedes for x in terms])  # fmt: skip
         kinds = [(on & torch.tensor(k, device=on.device)).any(1, keepdim=True) for k in of_kind]
         sets = torch.cat([on, *kinds, marks[:, None] != 0.0], 1)
@@ -195,8 +195,8 @@ def _grip(rollout: ReplayWorlds, recording: Recording) -> Array:
 
     Returns:
         Grasp point [m] and segment's axis in the link's frame, the way down (negative) and up to its ends [m], the
-        point in the world in the given pose [m], the recording's largest force [N], where it stands before [m], and
-        what the sensor reads of an open gripper [N], shape [18].
+        point in the world in the given pose [m], the recording's largest force [N], where it stands before [m], what
+        the sensor reads of an open gripper [N], and where the gripper faces, shape [21].
     """
     system = rollout.system
     assert isinstance(system, BranchSystem)
@@ -208,7 +208,7 @@ def _grip(rollout: ReplayWorlds, recording: Recording) -> Array:
     return np.concatenate([
         links.in_link_frame(link, point), along, [-point[2], branch.length[segment] - point[2]],
         branch.lower_end[segment] + point[2] * branch.axis[segment], [np.linalg.norm(recording.input, axis=1).max()],
-        recording.off, recording.opened,
+        recording.off, recording.opened, recording.heading,
     ])  # fmt: skip
 
 

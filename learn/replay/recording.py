@@ -13,6 +13,8 @@ from ..cases.noise import NoiseEstimate, estimate_noise
 
 #: Most samples of a branch that stands untouched, and how many deviations of their mean count as off its rest.
 MOST_STILL, FAR = 10, 4.0
+#: Level part of a pull's direction below which it has no heading, and distance of two headings that turns a tool.
+LEVEL, ASIDE = 0.02, 0.3
 #: Deviations of its noise within which a force may be none.
 NONE = 3.0
 
@@ -35,6 +37,8 @@ class Recording:
         off: Displacement at which a branch stands before it is pulled [m], shape [3]; zero where that is only noise.
         opened: What a branch's force sensor reads while the gripper is open [N], shape [3], zero where it never is or
             where that is only noise: the median, which its way back to that reading does not move.
+        heading: Level unit vector along which a branch's gripper pulls, shape [3]; zero where the case gives no
+            direction, or one for all recordings: a force that turns with it cannot be told from one that does not.
         sways: Whether the branch is off its calm pose or moves where a recording of the case begins: what acts by the
             clock has acted before.
     """
@@ -51,6 +55,7 @@ class Recording:
     every: int = 0
     off: Array = field(default_factory=lambda: np.zeros(3))
     opened: Array = field(default_factory=lambda: np.zeros(3))
+    heading: Array = field(default_factory=lambda: np.zeros(3))
     sways: bool = False
 
 
@@ -64,19 +69,34 @@ def beginning(recording: Recording, count: int) -> Recording:
 def recordings(case: BranchCase | JointCase) -> list[Recording]:
     """Return a case's trajectories; a branch's force is exactly zero where the gripper is known to be open."""
     if isinstance(case, BranchCase):
-        noise = estimate_noise(case)
+        noise, ways = estimate_noise(case), headings(case)
         sways = any(any(_away(t, noise, 1)) for t in case.trajectories)
         return [
             Recording(t.t, np.where(t.no_contact[:, None], 0.0, t.force), np.hstack([t.displacement, t.velocity]),
                       np.zeros((0, 2)), ~t.no_contact, t.grasp, t.t_start, t.force,
-                      off=standing(t, noise), opened=_of_open_gripper(t, noise), sways=sways)
-            for t in case.trajectories
+                      off=standing(t, noise), opened=_of_open_gripper(t, noise), heading=way, sways=sways)
+            for t, way in zip(case.trajectories, ways, strict=True)
         ]  # fmt: skip
     return [
         Recording(t.t, t.effort, t.output,
                   _first_state(case, t.output, t.t), np.zeros(len(t.t), dtype=bool), None, t.t_start)
         for t in case.trajectories
     ]  # fmt: skip
+
+
+def headings(case: BranchCase) -> list[Array]:
+    """Return for every trajectory of a branch where its gripper faces, see `Recording`."""
+    given = [np.zeros(3) if t.direction is None else t.direction for t in case.trajectories]
+    ways = [_level(d) for d in given]
+    known = [way for way in ways if way.any()]
+    apart = max((float(np.linalg.norm(a - b)) for a in known for b in known), default=0.0)
+    return ways if apart > ASIDE else [np.zeros(3)] * len(ways)
+
+
+def _level(direction: Array) -> Array:
+    level, whole = direction * [1.0, 1.0, 0.0], np.linalg.norm(direction)
+    size = np.linalg.norm(level)
+    return level / size if size > LEVEL * whole else np.zeros(3)
 
 
 def _of_open_gripper(t: BranchTrajectory, noise: NoiseEstimate) -> Array:

@@ -154,7 +154,7 @@ class ActingSet:
     def _loads(self, entry: Entry) -> bool:
         """Return whether a branch rests elsewhere where an entry is not neutral: a load, or the share of damage."""
         law = self.laws[self.names[entry.place // 6]]
-        return law.settles or (law.persistent and entry.place % 6 == 0)
+        return entry.spec.name in law.settles or (law.persistent and entry.place % 6 == 0)
 
     def switched_on(self, columns: torch.Tensor) -> torch.Tensor:
         """Return whether some parameter of each effect is not neutral, [sets, names]; a trunk's plane is a law."""

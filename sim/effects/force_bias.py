@@ -19,7 +19,7 @@ def _bias(name: str, unit: str) -> EffectParameter:
 
 
 #: Share of the open gripper's reading that is an offset of its recording, as of a sensor that is tared before each.
-_OPENED = EffectParameter("opened", "1", -0.25, 1.25, reach=1.0, optional=True)
+_OPENED = EffectParameter("opened", "1", -0.25, 1.25, reach=1.0, optional=True, of_each=True)
 
 
 EFFECT = register(

@@ -4,16 +4,21 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.lanes.algebra import add, div, mul, sub
-from ...kernels.lanes.real import real
+from ...kernels.lanes.algebra import add, div, growth, mul, sub
+from ...kernels.lanes.real import fma, real
 from .registry import Effect, EffectParameter, Law, register
 
 
 @wp.func
 def force_scale(g: Any, p: Any):
-    """F_k = F_s,k / s_k, s_y = s y, s_z = s z, s_x = s / (y z): s is the mean of the three, of their logarithms."""
+    """F_k = F_s,k / s_k, s_y = s y, s_z = s z, s_x = s / (y z): s is the mean of the three, of their logarithms.
+
+    While the sensor warms, s is s (1 + c exp(-t / w)), t on the absolute clock, the exponential to 0.012 (`growth`).
+    """
     one = real(1.0, p.a)
-    return type(g.force)(g.force.x * p.b * p.c / p.a, g.force.y * (one / (p.a * p.b)), g.force.z * (one / (p.a * p.c)))
+    x = g.time / p.e
+    s = p.a * (one + p.d / fma(x, growth(x), one))
+    return type(g.force)(g.force.x * p.b * p.c / s, g.force.y * (one / (s * p.b)), g.force.z * (one / (s * p.c)))
 
 
 @wp.func
@@ -24,19 +29,36 @@ def effort_scale(g: Any, p: Any):
 
 _SCALE = EffectParameter("scale", "1", 0.5, 2.0, 1.0, "log")
 _OF_AXES = tuple(EffectParameter(f"relative_{axis}", "1", 0.4, 2.5, 1.0, "log", optional=True) for axis in "yz")
+#: What a sensor that is still cold reads more than a warm one, as a share, and how long it warms.
+_WARMING = (
+    EffectParameter("cold", "1", -0.6, 1.5, optional=True),
+    EffectParameter(
+        "warms_s",
+        "s",
+        lambda s: 0.05 * s.end,
+        lambda s: 2.0 * s.end,
+        neutral=1.0,
+        scale="log",
+        typical=lambda s: 0.3 * s.end,
+        tries=lambda s: [0.3 * s.end],
+        optional=True,
+    ),
+)
 
 EFFECT = register(
     Effect(
         name="force_scale",
         plain="a wrong scale of the force sensor",
         summary="the sensor reads s times the force that acts; a branch's in world axes y and z relative_y s and"
-        " relative_z s times, so that s is the geometric mean of the three gains",
+        " relative_z s times, so that s is the geometric mean of the three gains; while it warms, by e-folds of warms_s"
+        " from zero of the clock, s is that of the warm sensor and a cold one reads the share cold more",
         source="definition; BIPM, International Vocabulary of Metrology (2012), 2.18; gains of axes: Voyles, Morrow &"
-        " Khosla 1997, J. Dyn. Syst. Meas. Control 119:229",
+        " Khosla 1997, J. Dyn. Syst. Meas. Control 119:229; drift of sensitivity: Doebelin, Measurement Systems"
+        " (2004), chapter 3",
         signature="all stiffnesses and dampers look s times too large against the mass and weight: swings are off",
         mistaken_for=("tip_mass", "cubic_stiffness"),
         probe="free swings after a release beside slow pushes",
-        branch=Law("force", (_SCALE, *_OF_AXES), force_scale, per_joint=False),
+        branch=Law("force", (_SCALE, *_OF_AXES, *_WARMING), force_scale, per_joint=False),
         joint=Law("force", (_SCALE,), effort_scale),
     )
 )

@@ -6,11 +6,16 @@ from itertools import product
 from .registry import Effect, EffectParameter, Law, Setting, register
 
 
-def _pulled_along(s: Setting) -> Sequence[tuple[float, ...]]:
-    """Grips that slide where the force along the segment points."""
-    unit = s.length / (s.force * s.duration)
-    ways, least = [m * unit for m in (0.2, 2.0, 20.0)], [b * s.force for b in (0.05, 0.12, 0.3)]
-    return list(product(ways, least, [0.0], [1.0], [1.0]))
+def _ways(s: Setting) -> list[float]:
+    """Mobilities that a search looks at [m/(N s)]."""
+    return [m * s.length / (s.force * s.duration) for m in (-20.0, -2.0, -0.2, 0.2, 2.0, 20.0)]
+
+
+def _further(s: Setting) -> Sequence[tuple[float, ...]]:
+    """Grips that slide where the force along the segment points, and such that the tracker does not see slide."""
+    towards_tip, least = _ways(s)[3:], [b * s.force for b in (0.05, 0.12, 0.3)]
+    along = product(towards_tip, least, [0.0], [1.0], [1.0], [1.0, 0.0])
+    return [*along, *product(_ways(s), least, [0.0], [1.0], [0.0], [0.0])]
 
 
 EFFECT = register(
@@ -20,10 +25,11 @@ EFFECT = register(
         summary="beyond a least force, part of which may be a share of the recording's largest one, the grip slides"
         " along the segment, towards its tip at a rate of mobility times the excess (towards the base where negative),"
         " or, as far as it is not viscous, at the rate of 1 N of excess; as far as it is axial, only the force along"
-        " the segment counts, and it slides where that points; inside the segment's ends; it holds the marked point"
-        " again in the next recording",
+        " the segment counts, and it slides where that points; inside the segment's ends; the"
+        " tracker sees the share seen of the slide, all where it follows the gripper, none where it follows a mark on"
+        " the wood; it holds the marked point again in the next recording",
         source="Bingham 1922 (yield, then viscous flow); Coulomb 1785 (force that does not grow with the rate);"
-        " displacement is that of the point that is held",
+        " displacement is that of the point that is held, or of the mark",
         signature="displacement drifts along the segment while the force is held, and stays away after the release",
         mistaken_for=("viscoelastic_sls", "plastic_set"),
         probe="a long hold of a large force beside one of a small force",
@@ -35,17 +41,16 @@ EFFECT = register(
                     "m/(N s)",
                     lambda s: -100.0 * s.length / (s.force * s.duration),
                     lambda s: 100.0 * s.length / (s.force * s.duration),
-                    tries=lambda s: [
-                        m * s.length / (s.force * s.duration) for m in (-20.0, -2.0, -0.2, 0.2, 2.0, 20.0)
-                    ],
+                    tries=_ways,
                     reach=lambda s: 5.0 * s.length / (s.force * s.duration),
                 ),
                 EffectParameter("least_N", "N", lambda s: 0.02 * s.force, lambda s: s.force, scale="log", tries=4),
                 EffectParameter("least_share", "1", 0.0, 0.9, tries=lambda s: [0.0, 0.4], optional=True),
                 EffectParameter("viscous", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0, 0.0], optional=True),
                 EffectParameter("axial", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True),
+                EffectParameter("seen", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0], optional=True),
             ),
-            further=_pulled_along,
+            further=_further,
             per_joint=False,
             memory=1,
         ),

@@ -1,28 +1,47 @@
-"""A wrong weight of the gripper taken off the sensor."""
+"""Weight that is taken off wrongly: the gripper's off the sensor, or the branch's off its springs."""
 
 from typing import Any
 
 import warp as wp
 
 from ...kernels.lanes.algebra import add, div, mul, rotate, sub, unrotate
+from ...kernels.lanes.real import real
 from .registry import Effect, EffectParameter, Law, register
 
 
 @wp.func
 def gravity_comp_error(g: Any, p: Any):
-    """F = F_s - c dm (gv - k R R0^T gv): R of the held link turns from R0, and c is 1 in contact."""
+    """F = F_s - c (dm (gv - k R R0^T gv) + a h + b (z x h)): R of the held link turns from R0, h is the heading.
+
+    c is 1 in contact, gv gravity, z up; a and b are zero on the sensor that faces the pull, of a tool that is tared.
+    """
     turned = rotate(g.turn, unrotate(g.first, g.gravity))
-    return g.force - (g.gravity - turned * p.b) * (p.a * g.contact)
+    h = g.heading
+    across = type(h)(real(0.0, h.x) - h.y, h.x, h.z)
+    return g.force - ((g.gravity - turned * p.b) * p.a + h * p.c + across * p.d) * g.contact
+
+
+@wp.func
+def overloaded(j: Any, p: Any, r: Any):
+    """tau = +e P: P is the pre-load that carries the weight, e what it carries too much."""
+    return type(r)(j.preload * p.e, r.memory, r.stiffness, r.damping)
+
+
+def _turning(name: str) -> EffectParameter:
+    return EffectParameter(name, "N", lambda s: -s.force, lambda s: s.force, optional=True)
 
 
 EFFECT = register(
     Effect(
         name="gravity_comp_error",
-        plain="a weight that the force sensor reads as a force",
+        plain="a weight that is taken off wrongly, the tool's off the sensor or the branch's off its springs",
         summary="the sensor's reading holds the weight of a mass dm, of which a share k was tared in the rest pose and"
-        " turns with the held segment",
+        " turns with the held segment, and what the tare of a tool that tilts leaves, ahead and across of where each"
+        " pull faces; or the springs' pre-loads carry the share e of the branch's weight too much, so that it rests"
+        " elsewhere than in its given pose",
         source="Kubus, Kroeger & Wahl 2008, IROS (gravity compensation of wrist force sensors)",
-        signature="a force offset along gravity that changes as the gripper turns with the branch",
+        signature="a force offset along gravity that changes as the gripper turns with the branch or the pull, or a"
+        " branch that stands off along gravity before it is touched",
         mistaken_for=("force_bias", "steady_wind"),
         probe="the same push with the gripper turned",
         branch=Law(
@@ -30,9 +49,14 @@ EFFECT = register(
             (
                 EffectParameter("mass_kg", "kg", lambda s: -s.force / s.gravity, lambda s: s.force / s.gravity),
                 EffectParameter("tared", "1", 0.0, 1.0, 1.0, tries=2),
+                _turning("ahead_N"),
+                _turning("across_N"),
+                EffectParameter("overload", "1", -0.75, 0.75, optional=True),
             ),
             gravity_comp_error,
             per_joint=False,
+            strains=overloaded,
+            settles=("overload",),
         ),
     )
 )

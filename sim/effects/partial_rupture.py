@@ -63,7 +63,7 @@ EFFECT = register(
                 ),
             ),
             partial_rupture,
-            settles=True,
+            settles=("share",),
             moment="moment_s",
         ),
     )

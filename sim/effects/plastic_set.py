@@ -1,5 +1,6 @@
 """A joint that yields and stays bent."""
 
+from dataclasses import replace
 from typing import Any
 
 import warp as wp
@@ -50,6 +51,8 @@ _PARAMETERS = (
     EffectParameter("yield_rad", "rad", lambda s: 0.05 * s.angle, lambda s: s.angle, scale="log"),
     EffectParameter("isotropic", "1", 0.0, 1.0, tries=1, optional=True),
 )
+#: A set that flows from the smallest turn on is a dashpot beside the hardening's spring: a creep.
+_YIELD = replace(_PARAMETERS[1], below="viscoelastic_sls")
 _SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True)
 _FLOW = EffectParameter("flow_s", "s", 0.0, lambda s: s.duration, tries=lambda s: [0.0], optional=True)
 
@@ -66,7 +69,9 @@ EFFECT = register(
         signature="the branch rests elsewhere after a large push, and later small pushes are as before",
         mistaken_for=("hysteresis_boucwen", "dry_friction", "partial_rupture"),
         probe="a small push, a large one, the same small push again, with the gripper open in between",
-        branch=Law("joint", (*_PARAMETERS, _SEPARATE, _FLOW), plastic_set, memory=2, persistent=True),
+        branch=Law(
+            "joint", (_PARAMETERS[0], _YIELD, _PARAMETERS[2], _SEPARATE, _FLOW), plastic_set, memory=2, persistent=True
+        ),
         joint=Law("joint", _PARAMETERS, plastic_set, memory=2),
     )
 )

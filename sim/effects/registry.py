@@ -89,7 +89,10 @@ class EffectParameter:
         optional: Whether a file may leave it out; it is neutral then.
         plausible: Least and largest value that nature or a sensor has, beyond which a fitted effect stands in for
             another; None where none is known. The effect's file says where the numbers are from.
-        becomes: Name of the effect that the law turns into where the value is larger than the box; empty for none.
+        of_each: Whether with it the law takes a number of every recording from what was measured, so that a model pays
+            for it once for each.
+        becomes, below: Names of the effects that the law turns into where the value is larger than the box, and
+            smaller; empty for none.
     """
 
     name: str
@@ -103,7 +106,9 @@ class EffectParameter:
     reach: Bound | None = None
     optional: bool = False
     plausible: tuple[float, float] | None = None
+    of_each: bool = False
     becomes: str = ""
+    below: str = ""
 
 
 #: Share of the twist that a law at a ball joint sees, and of the torque about it that it gives.
@@ -134,12 +139,14 @@ class Law:
         law: Device function of the three kinds.
         per_joint: Whether every joint has its own.
         memory, persistent: See `kernels.effects.terms.Term`.
-        settles: Whether a branch is at rest elsewhere than in its given pose while the effect acts.
+        settles: Names of the parameters that are neutral where a branch rests in its given pose; empty where it does so
+            whatever they are.
         precedes: Whether it acts by the clock, and so has moved a branch before a recording begins.
         active: Whether it may give energy, as a gust does; every other law takes energy or gives back what it stored.
         holds: Device function ``holds(j, p, r)`` of a law at a joint that keeps a branch off its rest, as dry friction
             or a play does: of the torque ``r.torque`` what it holds, and the memory, if any, with which it does
             (`kernels.effects.held`).
+        strains: Device function ``strains(j, p, r)`` of what a law of another kind does at joints as well.
         mirror: Of values of the parameters other ones, and by what the joint's spring is to be multiplied: the same
             motion in the plane in which the law acts, and another motion across it. A search that has ended on the
             wrong side is led to the other; None where there is none.
@@ -156,10 +163,11 @@ class Law:
     per_joint: bool = True
     memory: int = 0
     persistent: bool = False
-    settles: bool = False
+    settles: tuple[str, ...] = ()
     precedes: bool = False
     active: bool = False
     holds: Any = None
+    strains: Any = None
     mirror: Callable[[Sequence[float]], tuple[Sequence[float], float]] | None = None
     further: Callable[[Setting], Sequence[tuple[float, ...]]] | None = None
     moment: str = ""
@@ -245,8 +253,9 @@ def _check(law: Law, name: str) -> None:
     names = [p.name for p in law.parameters]
     if not 1 <= len(set(names)) == len(names) <= PARAMETERS:
         raise InputError("effects", name, f"parameters {names}", f"1 to {PARAMETERS} of different names")
-    if not set(law.strengths) <= set(names):
-        raise InputError("effects", name, f"strengths {list(law.strengths)}", f"some of {', '.join(names)}")
+    for what in ("strengths", "settles"):
+        if not set(getattr(law, what)) <= set(names):
+            raise InputError("effects", name, f"{what} {list(getattr(law, what))}", f"some of {', '.join(names)}")
     if (law.law is None) == (law.kind in ("joint", "link", "force")):
         raise InputError("effects", name, f"kind {law.kind} and law {law.law}", "a law with its kind")
     if law.holds is not None and law.kind != "joint":
@@ -284,7 +293,9 @@ def effect_of(name: str, source: str = "effects") -> Effect:
 def terms_of(names: tuple[str, ...], form: Form) -> tuple[Term, ...]:
     """Return the kernel terms of some effects, in the order of the registry, whatever the order of the names."""
     chosen = [e for e in effects() if e.name in names]
-    return tuple(
-        Term(e.name, law.kind, law.law, slot, law.per_joint, law.memory, law.persistent, law.holds, law.precedes)
-        for slot, (e, law) in enumerate((e, e.law(form)) for e in chosen)
-    )
+    return tuple(_term(e.name, slot, e.law(form)) for slot, e in enumerate(chosen))
+
+
+def _term(name: str, slot: int, law: Law) -> Term:
+    lasting = law.memory, law.persistent
+    return Term(name, law.kind, law.law, slot, law.per_joint, *lasting, law.holds, law.precedes, law.strains)

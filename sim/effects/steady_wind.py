@@ -56,7 +56,7 @@ EFFECT = register(
             ),
             steady_wind,
             per_joint=False,
-            settles=True,
+            settles=("pressure_x_Pa", "pressure_y_Pa", "pressure_z_Pa"),
         ),
     )
 )

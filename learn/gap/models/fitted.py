@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....sim.base.types import Array
+from ....sim.effects import EffectParameter
 from ...cases.case import BranchCase
 from .contest import Contest
 from .refit import Fits
@@ -28,12 +29,14 @@ class Model:
         fit: Its fit, a batch of one.
         settled: Whether it was fitted to the last round.
         rests: Whether its fit is that of a model with fewer effects, the others off, because none with them left less.
+        idle: What the information criterion saves without parameters that may as well be neutral, see `idle`.
     """
 
     members: tuple[int, ...]
     fit: Fits
     settled: bool = False
     rests: bool = False
+    idle: float = 0.0
 
     @property
     def cost(self) -> float:
@@ -83,8 +86,8 @@ class FittedModels:
         return model.chi2 / self.contest.num_samples
 
     def criterion(self, model: Model) -> float:
-        """Return the information criterion: cost over the overdispersion, plus the penalty of the effects."""
-        return model.cost / self.overdispersion + penalty(self.contest, model.members)
+        """Return the information criterion: cost over the overdispersion, plus the penalty of what is not idle."""
+        return model.cost / self.overdispersion + penalty(self.contest, model.members) - model.idle
 
     def explained(self, model: Model) -> float:
         """Return the share of the base model's excess chi-squared that a model explains.
@@ -134,4 +137,9 @@ def overdispersion(contest: Contest, chi2: float) -> float:
 
 def penalty(contest: Contest, members: Sequence[int]) -> float:
     """Return the penalty of the Bayesian information criterion: log(N) per parameter of the effects."""
-    return math.log(contest.num_samples) * sum(len(contest.candidates[c].columns) for c in members)
+    return sum(price(contest, spec) for c in members for spec in contest.candidates[c].specs)
+
+
+def price(contest: Contest, spec: EffectParameter) -> float:
+    """Return what the criterion charges a parameter."""
+    return math.log(contest.num_samples) * (len(contest.recordings) if spec.of_each else 1)

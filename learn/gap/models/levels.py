@@ -69,13 +69,16 @@ def better_of(contest: Contest, models: Sequence[Model], earlier: Sequence[Model
 
 
 def next_level(contest: Contest, leaders: Sequence[Model], progress: Progress) -> list[Model]:
-    """Fit the candidates that the scan favours beside each of the leading models; return the models, best first."""
+    """Fit the candidates that the scan favours beside each of the leading models; return the models, best first.
+
+    None are returned where the leading models have all candidates already.
+    """
     scans = []
-    for model in leaders:
+    for model in (m for m in leaders if len(m.members) < len(contest.candidates)):
         basis, scan = scan_candidates(contest, model.fit, without=model.members)
         scans.append((basis, scan, model.members))
         progress("scan", 1)
-    return _halved(contest, *_started(contest, scans, every=False), progress)
+    return _halved(contest, *_started(contest, scans, every=False), progress) if scans else []
 
 
 def reduced(contest: Contest, models: Sequence[Model], iterations: int = ITERATIONS[-1]) -> list[Model]:

@@ -45,6 +45,24 @@ def test_grasp_slip_drifts_while_held_and_stays(tmp_path, mobility):
     np.testing.assert_allclose(settled(out), slide(3.98) * case.axis[0], atol=1e-4 * abs(slide(3.98)) + 1e-6)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_a_tracker_that_follows_the_wood_sees_less_of_a_slide(tmp_path, share):
+    """Slide as ever, and see the point that the share of the way leads to, its velocity with it."""
+    mobility, least = -0.02, 2.0
+    case = stick_case(tmp_path / "c", [held()])
+    on = {"mobility_mpNs": mobility, "least_N": least}
+    seen, out = (stick(case, grasp_slip=on | extra)[0] for extra in ({}, {"seen": share}))
+    size = np.linalg.norm(FORCE)
+    for k in (80, 190):
+        way = mobility * (size - least) * (0.4 * (size - least) / (2 * size) + case.trajectories[0].t[k] - 0.5)
+        expected = resting(case, lambda phi: -KS * phi, lambda R, p=0.4 + way: FORCE, point=0.4 + way,
+                           seen=0.4 + share * way)  # fmt: skip
+        np.testing.assert_allclose(out[k, :3], expected, atol=0.02 * abs(mobility) * (size - least))
+        rate = (out[k + 1, :3] - out[k - 1, :3]) / 0.04
+        np.testing.assert_allclose(out[k, 3:], rate, atol=0.01 * np.linalg.norm(rate) + 1e-5)
+        assert np.linalg.norm(seen[k, :3] - out[k, :3]) > 5e-3
+
+
 def test_grasp_slip_at_a_rate_that_the_force_does_not_raise(tmp_path):
     """Slide at mobility times 1 N while the force is beyond half of each recording's largest, large or small."""
     mobility = -0.02

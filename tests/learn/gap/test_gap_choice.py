@@ -288,9 +288,14 @@ def test_an_effect_that_is_off_is_still_off_under_another_filter(tmp_path):
     ("bend", "left", "place", "turned"),
     [(1.0, 1080.0, 0, True), (0.5, 1080.0, 0, False), (1.0, 1200.0, 0, False), (1.0, 1080.0, 1, False)],
 )
-def test_friction_that_bends_as_far_as_it_may_is_hysteresis(bend, left, place, turned):
-    """Take hysteresis at its joint where it explains as much to 3 % of the excess, 2000 squares, and not elsewhere."""
-    spec = EffectParameter("bend_rad", "rad", 0.0, 1.0, becomes="hysteresis_boucwen")
+@pytest.mark.parametrize("end", ["becomes", "below"])
+def test_friction_that_bends_as_far_as_it_may_is_hysteresis(bend, left, place, turned, end):
+    """Take hysteresis at its joint where it explains as much to 3 % of the excess, 2000 squares, and not elsewhere.
+
+    A law may turn into another at either end of its box.
+    """
+    spec = EffectParameter("bend_rad", "rad", 0.0, 1.0, **{end: "hysteresis_boucwen"})
+    bend = bend if end == "becomes" else 1.0 - bend
     candidates = [
         Candidate(SimpleNamespace(name=name, joint=joint), (k,), SimpleNamespace(parameters=(spec,)))
         for k, (name, joint) in enumerate([("dry_friction", 0), ("hysteresis_boucwen", place)])

@@ -7,9 +7,12 @@ import pytest
 import torch
 from bough.learn.cases.case import load_case
 from bough.learn.cases.noise import estimate_noise
+from bough.learn.gap.diagnose import find_missing
+from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.contest import Contest, activated
 from bough.learn.gap.models.levels import led_whole
 from bough.learn.gap.models.refit import fit
+from bough.learn.gap.run import Run
 from bough.learn.hidden import hide
 from bough.learn.replay.recording import recordings
 from oracles.oscillator import write_case
@@ -42,6 +45,13 @@ def test_a_mass_is_found_from_typical_springs(heavy):
     begun = activated(contest, contest.base_batch(1), [list(led.members)])
     begun.free = torch.where(begun.active, contest.typical, begun.free)
     assert led.chi2 < 1.01 * float(fit(contest, begun, 64).chi2[0])
+
+
+def test_nothing_more_can_be_added_to_the_only_candidate(tmp_path):
+    """Call it unknown where the only effect that is looked for leaves a misfit, and the search has no other."""
+    hide(tmp_path / "case", effects=("quadratic_drag",), seed=12, noise=0.02, segments=1, size=0.3)
+    found = find_missing(load_case(tmp_path / "case"), Run(Settings(particles=0, effects=("tip_mass",))))
+    assert (found.verdict, found.nearest) == ("unknown", "tip_mass")
 
 
 def test_joints_have_no_whole_branch(tmp_path):

@@ -234,13 +234,13 @@ BRANCH_TRUTH = {
     "backlash": (0.03, 0.5, 0.1, 0.3, 1.0),
     "plastic_set": (0.4, 0.1, 0.6, 0.5, 0.1),
     "partial_rupture": (0.4, 20.9, 0.5, 0.2),
-    "grasp_slip": (-0.05, 0.5, 0.2, 1.0, 0.3),
+    "grasp_slip": (-0.05, 0.5, 0.2, 1.0, 0.3, 0.7),
     "force_bias": (0.2, -0.3, 0.25, 0.5),
-    "force_scale": (1.3, 1.2, 0.9),
+    "force_scale": (1.3, 1.2, 0.9, 0.4, 9.0),
     "time_delay": (0.03, 0.04),
     "steady_wind": (30.0, -40.0, 20.0, 0.4),
     "wind_gust": (20.0, -15.0, 10.0, 12.0, 0.9, 0.4),
-    "gravity_comp_error": (0.15, 0.6),
+    "gravity_comp_error": (0.15, 0.6, 0.1, -0.1, 0.2),
     "anisotropic_stiffness": (0.8, 0.7, 0.3),
     "bilinear_stiffness": (1.0, 1.2),
     "bending_torsion_coupling": (0.4, 0.9),
@@ -252,7 +252,7 @@ FIXED_AT_TRUTH = {
     "backlash": ("twist",),
     "grasp_slip": ("viscous",),  # less of it is a jump at the threshold
     "quadratic_drag": ("across",),  # a stick on a ball joint moves across itself alone
-    "gravity_comp_error": ("tared",),
+    "gravity_comp_error": ("tared", "ahead_N", "across_N"),  # without directions nothing turns
     "wind_gust": ("frequency_Hz", "across"),
     "steady_wind": ("across",),
     "partial_rupture": ("moment_s",),

@@ -1,0 +1,80 @@
+"""Parameters that do nothing: what a model saves without them.
+
+The information criterion charges every parameter of a model's effects. One that only refines a law (`optional` in the
+registry) and may as well be neutral is not needed: without it the model leaves z^2 more and costs log(N) less, by the
+curvature at the fit (Wald 1943, Trans. Am. Math. Soc. 54:426). The best of the models without some of them counts, so
+that a law is not the worse for forms that it need not have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from .certain import covariance
+from .contest import Contest
+from .fitted import FURTHER, FittedModels, Model, price
+from .nested import neutral_of
+
+
+@dataclass(frozen=True)
+class Optional:
+    """A parameter of a model that may be left out.
+
+    Attributes:
+        column: Its place among all parameters.
+        price: What the criterion charges it.
+    """
+
+    column: int
+    price: float
+
+
+def spare(fitted: FittedModels) -> None:
+    """Set what models save that may be among the best, see `Model.idle`."""
+    contest = fitted.contest
+    for m in fitted.models:
+        m.idle = 0.0
+    least = min((fitted.criterion(m) for m in fitted.models), default=0.0)
+    for m in fitted.models:
+        own = optional(contest, m)
+        if own and not m.rests and fitted.criterion(m) - sum(x.price for x in own) < least + FURTHER:
+            m.idle = saved(contest, m, own)
+
+
+def optional(contest: Contest, model: Model) -> list[Optional]:
+    """Return the parameters of a model's effects that may be left out."""
+    chosen = (contest.candidates[c] for c in model.members)
+    return [Optional(k, price(contest, s)) for x in chosen for k, s in zip(x.columns, x.specs, strict=True)
+            if s.optional]  # fmt: skip
+
+
+def saved(contest: Contest, model: Model, own: Sequence[Optional]) -> float:
+    """Return what a model saves without those of its parameters that may as well be neutral."""
+    spread, columns = covariance(contest, model)
+    left, best = [x for x in own if x.column in columns], 0.0
+    out: list[Optional] = []
+    while left:
+        gains = [sum(y.price for y in (*out, x)) - _distance(contest, model, spread, columns, [*out, x]) for x in left]
+        k = max(range(len(left)), key=gains.__getitem__)
+        if gains[k] <= best:
+            break
+        best = gains[k]
+        out.append(left.pop(k))
+    return best
+
+
+def _distance(
+    contest: Contest, model: Model, spread: torch.Tensor, columns: list[int], chosen: Sequence[Optional]
+) -> float:
+    """Return what a model leaves more without parameters, in deviations squared: how far they are from neutral.
+
+    Their priors are part of the curvature, and are no more counted once they are left out.
+    """
+    at, own = [columns.index(x.column) for x in chosen], [x.column for x in chosen]
+    neutral = model.fit.batch.free.new_tensor([neutral_of(contest, c) for c in own])
+    apart = model.fit.batch.free[0, own] - neutral
+    prior = (((neutral - contest.centre[own]) / contest.spread[own]) ** 2).sum()
+    return float(apart @ torch.linalg.lstsq(spread[at][:, at], apart[:, None]).solution[:, 0] - prior)
