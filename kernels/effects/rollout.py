@@ -29,6 +29,7 @@ from .terms import (
     PARAMETERS,
     STILL,
     Term,
+    aside,
     is_on,
     memory_row,
     place_of,
@@ -303,7 +304,7 @@ def hold_tip(e: int, row: int, slot: int, m: Any, fx: Any, s: Any):
     i = fx.tip
     mass = fx.parameter[e, slot * PARAMETERS * fx.stride]
     o = real(0.0, mass)
-    arm = place_of(fx.tip_point, s.r[row, i])
+    arm = place_of(fx.tip_point, s.r[row, i]) + aside(e, 0, slot, fx, s.r[row, i])
     place = s.accel[row, i] + rotate(s.pose[row, i], arm)
     lift = s.accel0[row, 0] * mass
     for k in range(1, m.count[e] + 1):

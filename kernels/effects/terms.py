@@ -494,6 +494,13 @@ def place_of(point: wp.array(dtype=wp.float64), like: Any):
 
 
 @wp.func
+def aside(e: int, i: int, slot: int, fx: Any, like: Any):
+    """Where the mass at link i's end hangs beside the end, in the link's axes, of the type of ``like``."""
+    k = slot * PARAMETERS * fx.stride + i
+    return type(like)(fx.parameter[e, k + fx.stride], fx.parameter[e, k + 2 * fx.stride], real(0.0, like.x))
+
+
+@wp.func
 def act(
     e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, still: int,
     at: Present, strain: wp.Function, strips: wp.Function,
@@ -538,7 +545,7 @@ def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float6
         if at.tip >= 0:
             if i == fx.tip:
                 extra = fx.parameter[e, at.tip * PARAMETERS * fx.stride]
-                arm = rotate(pose, place_of(fx.tip_point, mc))
+                arm = rotate(pose, place_of(fx.tip_point, mc) + aside(e, 0, at.tip, fx, mc))
                 A = A + skew_square(arm, A) * extra
                 mass = mass + extra
                 mc = mc + arm * extra

@@ -171,8 +171,9 @@ def _add_effects(fitted: FittedModels, run: Run) -> None:
         fitted.contest.overdispersion = fitted.overdispersion
         further = next_level(fitted.contest, leaders, run.progress)
         fitted.models += further + reduced(fitted.contest, further[:2]) + mirrored(fitted.contest, further[:2])
-        fitted.models += taken_for(fitted, count)
         fitted_again(fitted, count, every=True)
+        _begin_leaders_again(fitted, count)
+        fitted.models += taken_for(fitted, count)
         _begin_leaders_again(fitted, count)
         fitted.models += reduced(fitted.contest, fitted.of_size(count)[:1])
     if fitted.needs_more(fitted.best):

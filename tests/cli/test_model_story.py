@@ -16,9 +16,10 @@ from oracles.oscillator import write_case
 
 SPRING, DAMPER = 40.0, 0.5
 FRICTION = {"torque_Nm": 0.5, "bend_rad": 0.001, "gradual": 0.0, "stribeck": -0.5, "stribeck_radps": 0.2}
+MASS = {"mass_kg": 0.15, "aside_x_m": 0.02, "aside_y_m": 0.0}
 EFFECTS = (
     Acting("dry_friction", 0, FRICTION),
-    Acting("tip_mass", None, {"mass_kg": 0.15}),
+    Acting("tip_mass", None, MASS),
 )
 WARNING = "left out: dry_friction@0, tip_mass: trees have springs and dampers alone\n"
 
@@ -62,11 +63,11 @@ def test_known_effects_act_while_springs_are_learnt(bough, here):
         assert report["parameters"][name]["median"] == pytest.approx(true, rel=0.01)
     assert report["settings"]["effects"] == [
         {"name": "dry_friction", "joint": 0, "parameters": FRICTION},
-        {"name": "tip_mass", "joint": None, "parameters": {"mass_kg": 0.15}},
+        {"name": "tip_mass", "joint": None, "parameters": MASS},
     ]
     page = Path("out/report.html").read_text()
     said = ", ".join(f"{name} {value:g}" for name, value in FRICTION.items())
-    assert page.count(f"dry_friction@0 ({said}), tip_mass (mass_kg 0.15)") == 1
+    assert page.count(f"dry_friction@0 ({said}), tip_mass (mass_kg 0.15, aside_x_m 0.02, aside_y_m 0)") == 1
 
 
 def test_models_that_do_not_fit_the_case(bough, here):

@@ -229,7 +229,7 @@ BRANCH_TRUTH = {
     "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6, 1.0),
     "quadratic_drag": (25.0, 0.4, 0.3),
     "viscoelastic_sls": (0.5, 0.3, 0.4, 0.04),
-    "tip_mass": (0.2,),
+    "tip_mass": (0.2, 0.05, -0.03),
     "base_compliance": (0.02, 0.1, 0.02, 0.3, 1.2, 0.7),
     "backlash": (0.03, 0.5, 0.1, 0.3, 1.0),
     "plastic_set": (0.4, 0.1, 0.6, 0.5, 0.1),

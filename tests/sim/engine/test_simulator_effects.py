@@ -7,6 +7,7 @@ from bough.cli.main import main
 from bough.learn.replay.recording import recordings
 from bough.learn.replay.simulated_case import Experiment, random_branch, write_simulated_case
 from bough.sim.base.errors import InputError
+from bough.sim.base.rotation import quat_rotate
 from bough.sim.effects import effects
 from bough.sim.engine import arrays
 from bough.sim.engine.forest_effects import forest_laws
@@ -223,9 +224,9 @@ def test_masses_at_the_ends_equal_a_heavier_tree():
     """Move as the plain step does with every mass in its link's own, the pre-loads holding both, in a mixed tree."""
     rng = np.random.default_rng(5)
     grown = random_tree(rng, 9, joints=MIXED[:3], stiffness=(20.0, 200.0), damping_ratio=(0.3, 1.0))
-    extra = rng.uniform(0.05, 0.3, 9)
-    extra[4] = 0.0
-    end = grown.shape_end[np.argsort(grown.shape_link)]
+    extra = rng.uniform(0.05, 0.3, 9) * (np.arange(9) != 4)
+    ours, aside = simulator([hold_rest_pose(grown)], ALL, gravity=9.81), rng.uniform(-0.1, 0.1, (9, 3)) * [1, 1, 0]
+    end = grown.shape_end[np.argsort(grown.shape_link)] + quat_rotate(ours.model.links.frame, aside)
     mass = grown.mass + extra
     centre = (grown.mass[:, None] * grown.com + extra[:, None] * end) / mass[:, None]
     inertia = grown.inertia.copy()
@@ -233,9 +234,9 @@ def test_masses_at_the_ends_equal_a_heavier_tree():
         d = p - centre
         inertia += m[:, None, None] * ((d * d).sum(1)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None, :])
     heavy = hold_rest_pose(grown.with_(mass=mass, com=centre, inertia=inertia))
-    start = [random_qpos(rng, grown, 0.2)]
-    plain, ours = simulator([heavy], (), gravity=9.81), simulator([hold_rest_pose(grown)], ALL, gravity=9.81)
-    ours.effects["tip_mass"]["mass_kg"].copy_(torch.as_tensor(extra)[None])
+    start, plain = [random_qpos(rng, grown, 0.2)], simulator([heavy], (), gravity=9.81)
+    for name, given in (("mass_kg", extra), ("aside_x_m", aside[:, 0]), ("aside_y_m", aside[:, 1])):
+        ours.effects["tip_mass"][name].copy_(torch.as_tensor(given)[None])
     for sim in (plain, ours):
         begin(sim, start)
         assert sim.implicit_worlds() == 0
@@ -248,12 +249,11 @@ def test_a_chain_moves_as_in_the_replay_of_a_case(tmp_path):
     """Push a measured branch of three segments with six effects at once: the replay's displacement, to float32."""
     rng = np.random.default_rng(3)
     stiffness, damping = np.array([60.0, 25.0, 8.0]), np.array([0.6, 0.3, 0.1])
-    truth = {"stiffness": stiffness, "damping": damping}
-    case = write_simulated_case(
-        tmp_path / "case", random_branch(rng, 3), truth, Experiment(noise=0.0), trajectories=1, seed=4
-    )
-    on = {"dry_friction": {"torque_Nm": 0.1}, "cubic_stiffness": {"cubic_radm2": 2.0}, "tip_mass": {"mass_kg": 0.05},
+    truth, still = {"stiffness": stiffness, "damping": damping}, Experiment(noise=0.0)
+    case = write_simulated_case(tmp_path / "case", random_branch(rng, 3), truth, still, trajectories=1, seed=4)
+    on = {"dry_friction": {"torque_Nm": 0.1}, "cubic_stiffness": {"cubic_radm2": 2.0},
           "viscoelastic_sls": {"share": 0.4, "relaxation_s": 0.3}, "quadratic_drag": {"coefficient_kgpm3": 4.0},
+          "tip_mass": {"mass_kg": 0.05, "aside_x_m": 0.04, "aside_y_m": -0.03},
           "anisotropic_stiffness": {"relative": 0.5, "axis_rad": 0.4}}  # fmt: skip
     recorded = recordings(case)
     without = tuple(e.name for e in effects() if e.name not in on)
