@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.lanes.algebra import add, div, growth, mul, sub
-from ...kernels.lanes.real import fma, real
+from ...kernels.lanes.algebra import add, div, growth, mul, size, sub
+from ...kernels.lanes.real import fma, real, where_neg
 from .registry import Effect, EffectParameter, Law, register
 
 
@@ -13,11 +13,15 @@ from .registry import Effect, EffectParameter, Law, register
 def force_scale(g: Any, p: Any):
     """F_k = F_s,k / s_k, s_y = s y, s_z = s z, s_x = s / (y z): s is the mean of the three, of their logarithms.
 
-    While the sensor warms, s is s (1 + c exp(-t / w)), t on the absolute clock, the exponential to 0.012 (`growth`).
+    While the sensor warms, s is s exp(c exp(-t / w)), t on the absolute clock: log s and c are linear in log F, so that
+    what they make up for in each other is a straight valley. The exponentials are those of `growth`.
     """
     one = real(1.0, p.a)
     x = g.time / p.e
-    s = p.a * (one + p.d / fma(x, growth(x), one))
+    y = p.d / fma(x, growth(x), one)
+    more = size(y)
+    gain = fma(more, growth(more), one)
+    s = p.a * where_neg(y, one / gain, gain)
     return type(g.force)(g.force.x * p.b * p.c / s, g.force.y * (one / (s * p.b)), g.force.z * (one / (s * p.c)))
 
 
@@ -29,9 +33,9 @@ def effort_scale(g: Any, p: Any):
 
 _SCALE = EffectParameter("scale", "1", 0.5, 2.0, 1.0, "log")
 _OF_AXES = tuple(EffectParameter(f"relative_{axis}", "1", 0.4, 2.5, 1.0, "log", optional=True) for axis in "yz")
-#: What a sensor that is still cold reads more than a warm one, as a share, and how long it warms.
+#: How much more a sensor that is still cold reads than a warm one, as a logarithm, and how long it warms.
 _WARMING = (
-    EffectParameter("cold", "1", -0.6, 1.5, optional=True),
+    EffectParameter("cold", "1", -0.9, 0.9, optional=True),
     EffectParameter(
         "warms_s",
         "s",
@@ -51,7 +55,7 @@ EFFECT = register(
         plain="a wrong scale of the force sensor",
         summary="the sensor reads s times the force that acts; a branch's in world axes y and z relative_y s and"
         " relative_z s times, so that s is the geometric mean of the three gains; while it warms, by e-folds of warms_s"
-        " from zero of the clock, s is that of the warm sensor and a cold one reads the share cold more",
+        " from zero of the clock, s is that of the warm sensor and a cold one reads exp(cold) times as much",
         source="definition; BIPM, International Vocabulary of Metrology (2012), 2.18; gains of axes: Voyles, Morrow &"
         " Khosla 1997, J. Dyn. Syst. Meas. Control 119:229; drift of sensitivity: Doebelin, Measurement Systems"
         " (2004), chapter 3",

@@ -39,7 +39,7 @@ def test_a_mass_is_found_from_typical_springs(heavy):
     names = [contest.candidates[m.members[0]].name for m in models]
     assert sorted(names) == ["force_scale", "tip_mass"]  # a cubic spring is at a joint
     led = models[names.index("tip_mass")]
-    (column,) = contest.candidates[led.members[0]].columns
+    column = contest.candidates[led.members[0]].columns[0]
     mass = float(contest.values(led.fit.batch)[0, column])
     assert mass == pytest.approx(answer["effects"][0]["params"]["mass_kg"], rel=0.03)
     begun = activated(contest, contest.base_batch(1), [list(led.members)])

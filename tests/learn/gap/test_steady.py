@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 from bough.learn.gap.models.fitted import FittedModels, Model
 from bough.learn.gap.steady import shows_less
+from bough.sim.effects import EffectParameter
 
 SAMPLES, FIRST, SECOND, OTHER = 1000, 0, 1, 2
 
@@ -16,7 +17,8 @@ def model(chi2, *members):
 
 def part(pair):
     """Return models fitted to a part of the recordings in which two effects together leave ``pair``."""
-    candidates = [SimpleNamespace(columns=(0, 1)) for _ in range(3)]  # 2 log(1000) = 14 for each effect
+    specs = (EffectParameter("share", "1", 0.0, 1.0),) * 2
+    candidates = [SimpleNamespace(columns=(0, 1), specs=specs) for _ in range(3)]  # 2 log(1000) = 14 for each effect
     contest = SimpleNamespace(num_samples=SAMPLES, candidates=candidates)
     models = [model(1000.0, FIRST), model(5000.0, SECOND), model(1300.0, OTHER), model(pair, FIRST, SECOND)]
     return FittedModels(contest, model(9000.0), models)
