@@ -65,8 +65,8 @@ def test_derivatives_are_those_of_central_differences(small):
     contest, base = small
     batch = activated(contest, base.batch, [[c for c, x in enumerate(contest.candidates) if x.name == "force_scale"]])
     batch.free[0, -1] = 0.0
-    column = int(next(c for x in contest.candidates if x.name == "force_scale" for c in x.columns))
-    batch.free[0, column] = 0.1
+    scale, _, _, cold, _ = next(x.columns for x in contest.candidates if x.name == "force_scale")
+    batch.free[0, scale], batch.free[0, cold] = 0.1, 0.3
     _, derivative, columns = contest.linearise(batch)
     for k, c in enumerate(columns[0].tolist()):
         ends = []
