@@ -38,6 +38,8 @@ from .simulations import Simulations
 STEP, NARROW, NARROWEST = 0.01, 0.002, 0.0004
 #: Least length of the beginning of a recording, in samples.
 FEWEST = 20
+#: What a difference of channels counts as at most, and where a simulation has diverged, in SI units: squares are finite.
+LOST = 1e6
 #: Prior standard deviation of a base parameter's free coordinate; of an effect's, in half widths of its box.
 BASE_SPREAD, EFFECT_SPREAD = 3.0, 1.0
 
@@ -238,7 +240,7 @@ class Contest:
 
     def whiten(self, difference: torch.Tensor) -> torch.Tensor:
         """Return differences of channels [S, R, T, C] whitened: noise alone gives standard deviation one."""
-        z = torch.nan_to_num(difference.double(), nan=1e6, posinf=1e6, neginf=-1e6) * self._scale
+        z = torch.nan_to_num(difference.double(), nan=LOST).clamp(-LOST, LOST) * self._scale
         return z if self.colour is None else self.colour.whiten(z, z.new_ones(len(z)))
 
     def residual(self, batch: Batch) -> torch.Tensor:

@@ -78,6 +78,16 @@ def test_derivatives_are_those_of_central_differences(small):
         assert (derivative[0, k] - wanted).norm() < 0.03 * wanted.norm()
 
 
+@pytest.mark.parametrize("size", [5e35, float("inf"), -float("inf"), float("nan")])
+def test_what_diverges_is_a_large_misfit_and_no_more(small, size):
+    """Whiten simulations that diverged, to numbers beyond a float32's squares too, to finite ones beyond any noise."""
+    contest, _ = small
+    lost = torch.full_like(contest.measured, size)[None]
+    white = contest.whiten(lost)
+    assert torch.isfinite((white**2).sum()) and float((white**2).mean()) > 1e6
+    assert contest.whiten(0.1 * torch.ones_like(lost)).abs().max() < white.abs().max()
+
+
 def test_rows_do_not_feel_each_other(small):
     """Fit a row beside others to the same bits as alone."""
     contest, base = small
