@@ -38,7 +38,7 @@ from .simulations import Simulations
 STEP, NARROW, NARROWEST = 0.01, 0.002, 0.0004
 #: Least length of the beginning of a recording, in samples.
 FEWEST = 20
-#: What a difference of channels counts as at most, and where a simulation has diverged, in SI units: squares are finite.
+#: What a difference of channels counts as at most, and where a simulation diverged, in SI units: squares are finite.
 LOST = 1e6
 #: Prior standard deviation of a base parameter's free coordinate; of an effect's, in half widths of its box.
 BASE_SPREAD, EFFECT_SPREAD = 3.0, 1.0
