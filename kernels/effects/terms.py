@@ -13,7 +13,7 @@ ones it is built with; the plain step (`articulated`) knows nothing of them.
            (`strips_of`)
 ``force``  ``law(g, p)`` takes a `ForceState` and returns the force that truly acts, from what the sensor recorded [N];
            ``opened`` is what it reads of an open gripper in the same recording [N], ``heading`` the level unit vector
-           that the gripper faces, each zero where it is not known; ``time`` [s]
+           that the gripper faces, each zero where it is not known; ``time`` [s], zero at joints measured directly
 
 ``p`` holds up to six parameters, ``p.a`` to ``p.f``, in the order in which the effect lists them. A ball joint's angle
 is its rotation vector from rest and its rate the angular velocity, both in the link's frame; other joints use x alone.

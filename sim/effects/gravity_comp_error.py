@@ -13,7 +13,7 @@ from .registry import Effect, EffectParameter, Law, register
 def gravity_comp_error(g: Any, p: Any):
     """F = F_s - c (dm (gv - k R R0^T gv) + a h + b (z x h)): R of the held link turns from R0, h is the heading.
 
-    c is 1 in contact, gv gravity, z up; a and b are zero on the sensor that faces the pull, of a tool that is tared.
+    c is 1 in contact, gv gravity, z up; a and b are what the tare of a tool that tilts leaves ahead and across.
     """
     turned = rotate(g.turn, unrotate(g.first, g.gravity))
     h = g.heading

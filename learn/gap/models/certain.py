@@ -85,5 +85,9 @@ def _touches(contest: Contest, model: Model, member: int, spread: torch.Tensor, 
 
 def _within(apart: torch.Tensor, spread: torch.Tensor) -> bool:
     """Return whether numbers may as well all be zero, from their covariance."""
-    distance = float(apart @ torch.linalg.lstsq(spread, apart[:, None]).solution[:, 0])
-    return distance < float(chi2.ppf(CONFIDENCE, len(apart)))
+    return distance(apart, spread) < float(chi2.ppf(CONFIDENCE, len(apart)))
+
+
+def distance(apart: torch.Tensor, spread: torch.Tensor) -> float:
+    """Return how far numbers [q] are from zero in deviations squared, from their covariance [q, q]."""
+    return float(apart @ torch.linalg.lstsq(spread, apart[:, None]).solution[:, 0])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import torch
 
-from .certain import covariance
+from .certain import covariance, distance
 from .contest import Contest
 from .fitted import FURTHER, FittedModels, Model, price
 from .nested import neutral_of
@@ -57,7 +57,7 @@ def saved(contest: Contest, model: Model, own: Sequence[Optional]) -> float:
     left, best = [x for x in own if x.column in columns], 0.0
     out: list[Optional] = []
     while left:
-        gains = [sum(y.price for y in (*out, x)) - _distance(contest, model, spread, columns, [*out, x]) for x in left]
+        gains = [sum(y.price for y in (*out, x)) - _left_more(contest, model, spread, columns, [*out, x]) for x in left]
         k = max(range(len(left)), key=gains.__getitem__)
         if gains[k] <= best:
             break
@@ -66,7 +66,7 @@ def saved(contest: Contest, model: Model, own: Sequence[Optional]) -> float:
     return best
 
 
-def _distance(
+def _left_more(
     contest: Contest, model: Model, spread: torch.Tensor, columns: list[int], chosen: Sequence[Optional]
 ) -> float:
     """Return what a model leaves more without parameters, in deviations squared: how far they are from neutral.
@@ -77,4 +77,4 @@ def _distance(
     neutral = model.fit.batch.free.new_tensor([neutral_of(contest, c) for c in own])
     apart = model.fit.batch.free[0, own] - neutral
     prior = (((neutral - contest.centre[own]) / contest.spread[own]) ** 2).sum()
-    return float(apart @ torch.linalg.lstsq(spread[at][:, at], apart[:, None]).solution[:, 0] - prior)
+    return distance(apart, spread[at][:, at]) - float(prior)
