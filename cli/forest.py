@@ -123,6 +123,7 @@ def write_forest(options: Forest) -> list[Tree]:
 
 def _check(options: Forest) -> None:
     def need(ok: bool, option: str, found: object, allowed: str) -> None:
+        """Raise `InputError` that names the option unless ``ok``."""
         if not ok:
             raise InputError(option, "", str(found), allowed)
 
@@ -158,6 +159,7 @@ def _grower(options: Forest) -> Callable[[int], tuple[Tree, dict[str, int]]]:
     springs = _springs(options)
 
     def grow_one(i: int) -> tuple[Tree, dict[str, int]]:
+        """Grow tree i from random numbers of its own; return it and the particle that its springs were drawn as."""
         seed = np.random.SeedSequence(options.seed, spawn_key=(i,))
         tree = grow_system(
             system, name=f"{label}_{i:04d}", iterations=options.order, noise=options.noise, seed=seed,

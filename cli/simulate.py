@@ -178,10 +178,12 @@ def check(options: Simulate) -> None:
     """Raise `InputError` for an option out of range."""
 
     def need(ok: bool, option: str, found: object, allowed: str) -> None:
+        """Raise `InputError` that names the option unless ``ok``."""
         if not ok:
             raise InputError(option, "", str(found), allowed)
 
     def positive(x: float | None) -> bool:
+        """Return whether a number is finite and above 0, or not given."""
         return x is None or (math.isfinite(x) and x > 0)
 
     need(positive(options.seconds), "--seconds", options.seconds, "a time above 0")

@@ -187,6 +187,7 @@ def _living(options: View, *, forest: bool) -> Build:
     planted = (read_forest if forest else read_tree)(options.path)
 
     def build(page: Page) -> Scene:
+        """Start the planted trees on the page, with the laws that were asked for."""
         scene = Living(page, planted, laws=options.law or LAWS, device=options.device)
         scene.start()
         return scene

@@ -61,6 +61,7 @@ def embed(
     into = wp.from_torch(out)
 
     def record(first: int, clouds: int, row: int) -> Any:
+        """Record the launch that embeds ``clouds`` clouds from ``first`` on, with sums in scratch row ``row``."""
         inputs = [array, marks, int(mask is not None), waves, first, row, _sums(width, count, str(device)), into]
         return recorded(kernel, (count if width == 1 else 1, clouds), inputs, device)
 
@@ -109,6 +110,7 @@ def occlusion(
     masked = [int(m is not None) for m in (first_mask, second_mask)]
 
     def record(start: int, clouds: int, _row: int) -> Any:
+        """Record the launch that counts the near pairs of ``clouds`` clouds from ``start`` on."""
         inputs = [a, a_mask, masked[0], b, b_mask, masked[1], float(limit * limit), pairs, start, like, into]
         dim = (count.shape[1], clouds)
         return recorded(count_pairs_kernel(width), dim, inputs, device)

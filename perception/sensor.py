@@ -173,6 +173,7 @@ class Sensor:
         s, n, team = self.settings, self.num_worlds, self._team
 
         def zeros(dtype: Any, *shape: int) -> Any:
+            """Return zeros on the device, [worlds, *shape]."""
             return wp.zeros((n, *shape), dtype=dtype, device=self.device)
 
         self._occlusion, self._breach, self._max_noise = (zeros(wp.float32) for _ in range(3))

@@ -360,14 +360,17 @@ def test_packages_that_are_imported(path):
 
 
 def public_definitions(node: ast.AST, names: set[str] | None = None, prefix: str = ""):
-    """Yield (name, node) of the classes, functions and methods a user can reach; ``names`` is the module's __all__."""
+    """Yield (name, node) of classes and functions without a leading underscore, those inside others too.
+
+    At the top of a module with an ``__all__``, given as ``names``, yield what that holds instead.
+    """
     for child in ast.iter_child_nodes(node):
         if not isinstance(child, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield from public_definitions(child, names, prefix)
             continue
         if child.name in names if names is not None else not child.name.startswith("_"):
             yield f"{prefix}{child.name}", child
-            if isinstance(child, ast.ClassDef):
-                yield from public_definitions(child, prefix=f"{child.name}.")
+        yield from public_definitions(child, prefix=f"{prefix}{child.name}.")
 
 
 def listed_names(module: ast.Module) -> set[str] | None:
@@ -380,7 +383,7 @@ def listed_names(module: ast.Module) -> set[str] | None:
 
 @pytest.mark.parametrize("path", [pytest.param(p, id=name_of(p)) for p in PACKAGE])
 def test_public_names_have_docstrings(path):
-    """Document every module, and every public class, function and method in it."""
+    """Document every module, and every class, function and method in it, nested ones too, that is not private."""
     module = ast.parse(path.read_text())
     assert ast.get_docstring(module), "the module"
     silent = [name for name, node in public_definitions(module, listed_names(module)) if not ast.get_docstring(node)]

@@ -29,6 +29,7 @@ def capsule_kernel(width: int, dof: int) -> Any:
         slot_world: wp.array(dtype=int), s_out: Scratch, first: int, row: int, start_out: wp.array2d(dtype=wp.vec3),
         end_out: wp.array2d(dtype=wp.vec3),
     ):  # fmt: skip
+        """Write the ends of a group's capsules [m], world axes, and the poses of its arms' end-effectors."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)

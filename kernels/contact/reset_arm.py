@@ -23,6 +23,7 @@ def reset_arm_kernel(dof: int) -> Any:
         mask: wp.array(dtype=wp.bool), start_in: wp.array2d(dtype=wp.float32), y_out: ArmState, k_out: ArmWork,
         rule: ContactRule,
     ):  # fmt: skip
+        """Put the arm of a masked world where it starts, at rest; forces and contacts <- 0."""
         tag = SOURCE  # noqa: F841
         w = wp.tid()
         if mask[w]:

@@ -34,6 +34,7 @@ FAILURES = wp.constant(2)
 
 @wp.func(inline=True)
 def lanes_of(x: wp.float32):
+    """How many worlds a real holds: one."""
     return 1
 
 
@@ -184,6 +185,7 @@ def assemble(row: int, thread: int, threads: int, size: int, turns: int, mu: flo
 
 @wp.func
 def reciprocal(pivot: float):
+    """1 / pivot; a pivot below 1e-6 in size counts as 1e-6."""
     return 1.0 / wp.where(wp.abs(pivot) < 1.0e-6, 1.0e-6, pivot)
 
 

@@ -246,6 +246,7 @@ def contact_step_kernel(width: int, dof: int, terms: tuple[Term, ...] = ()) -> A
         touch_out: Touch, space_out: Space, g_out: ArmLanes, u_in: Load, fx: Terms, worlds_in: wp.array2d(dtype=int),
         s_out: Scratch, first: int, row: int, substeps: int, h: wp.float64, bound: wp.float64,
     ):  # fmt: skip
+        """Advance a group, branches and arms in contact, by ``substeps`` steps of ``h`` [s]."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
@@ -288,6 +289,7 @@ def contact_step_parts(dof: int, terms: tuple[Term, ...] = (), team: int = TEAM)
         touch_out: Touch, space_out: Space, g_out: ArmLanes, u_in: Load, fx: Terms, worlds_in: wp.array2d(dtype=int),
         s_out: Scratch, step: int, substeps: int, h: wp.float64,
     ):  # fmt: skip
+        """Place arm and branches of world e, list its contacts, and set them out where anything touches."""
         tag = SOURCE  # noqa: F841
         e = wp.tid()
         slot_world = worlds_in[0]
@@ -302,6 +304,7 @@ def contact_step_parts(dof: int, terms: tuple[Term, ...] = (), team: int = TEAM)
         a: Arm, y_in_out: ArmState, k_out: ArmWork, rule: ContactRule, space_out: Space,
         worlds_in: wp.array2d(dtype=int), thread: int, h: wp.float64,
     ):  # fmt: skip
+        """Solve arm and contact forces of world e, a team of threads at once; skip a world without contacts."""
         tag = SOURCE  # noqa: F841
         e, j = wp.tid()
         w = worlds_in[0, e]
@@ -317,6 +320,7 @@ def contact_step_parts(dof: int, terms: tuple[Term, ...] = (), team: int = TEAM)
         space_out: Space, g_out: ArmLanes, worlds_in: wp.array2d(dtype=int), s_out: Scratch, h: wp.float64,
         bound: wp.float64, last: int,
     ):  # fmt: skip
+        """Move arm and branches of world e on by ``h`` [s] under the contacts' forces, if there are any."""
         tag = SOURCE  # noqa: F841
         e = wp.tid()
         slot_world = worlds_in[0]

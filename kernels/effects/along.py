@@ -34,6 +34,7 @@ def joint_law_kernel(law: Any, memory: int) -> Any:
         spring: wp.float64, step: wp.float64, torque_out: wp.array2d(dtype=wp.vec3d),
         stiffness_out: wp.array2d(dtype=wp.float64), damping_out: wp.array2d(dtype=wp.float64),
     ):  # fmt: skip
+        """Ask the law along motion m, its memory carried from sample to sample, and write what it answers."""
         tag = SOURCE  # noqa: F841
         m = wp.tid()
         o = Real(wp.float64(0.0))
@@ -77,6 +78,7 @@ def link_law_kernel(law: Any) -> Any:
         velocity_in: wp.array2d(dtype=wp.vec3d), value_in: wp.array(dtype=wp.float64), area: wp.float64,
         step: wp.float64, force_out: wp.array2d(dtype=wp.vec3d),
     ):  # fmt: skip
+        """Ask the law along motion m of a point `ARM` [m] above an upright link's joint, and write its force [N]."""
         tag = SOURCE  # noqa: F841
         m = wp.tid()
         o = Real(wp.float64(0.0))

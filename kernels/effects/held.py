@@ -36,6 +36,7 @@ def _hold_own(term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
     read, holds, remembers = reader(term, types, key), term.holds, term.memory > 0
 
     def hold_own(e: int, i: int, fx: Any, j: Any, left: Any, mark: Any):
+        """Return what this law leaves of the torque ``left``, and remember what it holds where there is no mark."""
         o = real(0.0, mark)
         r = holds(j, read(e, i, fx), types.Response(left, left - left, o, o))
         if wp.static(remembers):
@@ -58,6 +59,7 @@ def _hold_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
     named, JointState = named_all(holds, f"hold_{key}"), types.JointState
 
     def hold(e: int, i: int, m: Any, fx: Any, torque: Any, mark: Any):
+        """Return what is left of a torque at joint i once every active law has held its part of it."""
         if wp.static(False):
             named(torque)
         o = real(0.0, mark)
@@ -80,6 +82,7 @@ def holder_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
     hold = _hold_of(terms, types, key)
 
     def begin(e: int, row: int, place: int, point: Any, off: Any, m: Any, x: Any, fx: Any, s: Any):
+        """Turn the joints from ``place`` to the root by (K phi_i - what the laws leave of it) / K, where no mark is."""
         mark = fx.settle[e]
         o = real(0.0, mark)
         one = real(1.0, mark)

@@ -32,6 +32,7 @@ def effect_efforts_kernel(width: int, precision: int, terms: tuple[Term, ...]) -
         motion_in: wp.array2d(dtype=wp.vec3d), s_out: Scratch, first: int, row: int, step: wp.float64,
         effort_in_out: wp.array2d(dtype=Real),
     ):  # fmt: skip
+        """Take torque - damping x rate of the joints' laws off the efforts of a recording, sample by sample."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         j = trajectory[e]

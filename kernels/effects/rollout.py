@@ -503,6 +503,7 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
         input_in: wp.array3d(dtype=wp.float64), s_out: Scratch, first: int, row: int, substeps: int, h: wp.float64,
         bound: wp.float64, output_out: wp.array2d(dtype=Real), track: int, coordinate_out: wp.array2d(dtype=Quat),
     ):  # fmt: skip
+        """Replay a group's recordings ``first_of`` to ``last_of`` - 1 in turn: push the link, write its motion."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
@@ -540,6 +541,7 @@ def _joint_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
         begins: wp.array(dtype=wp.float64), input_in: wp.array3d(dtype=wp.float64), s_out: Scratch, first: int,
         row: int, substeps: int, h: wp.float64, bound: wp.float64, output_out: wp.array2d(dtype=Real),
     ):  # fmt: skip
+        """Replay the recording of a group under its efforts; write what the watched joints do."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)

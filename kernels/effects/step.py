@@ -329,6 +329,7 @@ def term_kernels(width: int, precision: int, terms: tuple[Term, ...], free: bool
         m: Model, x_in_out: State, u_in: Load, fx: Terms, s_out: Scratch, first: int, row: int, substeps: int,
         h: wp.float64, bound: wp.float64,
     ):  # fmt: skip
+        """Advance a group by ``substeps`` steps of ``h`` [s] under its load and the laws that are active in it."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)

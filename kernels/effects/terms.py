@@ -271,6 +271,7 @@ def reader(term: Term, types: SimpleNamespace, key: str) -> Any:
     first, own, Parameters = term.slot * PARAMETERS, int(term.per_joint), types.Parameters
 
     def read(e: int, i: int, fx: Any):
+        """Return the term's parameters a to f in group e, those of joint or link i where each has its own."""
         k = first * fx.stride + i * own
         n = fx.stride
         return Parameters(
@@ -286,6 +287,7 @@ def _add_joint(term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
     read, law, memory, LongResponse = reader(term, types, key), term.at_joint, term.memory, types.LongResponse
 
     def add_own(e: int, i: int, fx: Any, j: Any, r: Any, sofar: Any):
+        """Return ``sofar`` plus the law's torque, stiffness and damping at joint i, and write its new memory."""
         k = row * fx.stride + i
         p = read(e, i, fx)
         if wp.static(memory == 0):
@@ -310,6 +312,7 @@ def _add_link(term: Term, types: SimpleNamespace, key: str) -> Any:
     read, law = reader(term, types, key), term.law
 
     def add_own(e: int, i: int, fx: Any, b: Any, sofar: Any):
+        """Return ``sofar`` plus the law's force on link i at the point of ``b``, world axes [N]."""
         return sofar + law(b, read(e, i, fx))
 
     return function_of(add_own, term, f"add{key}")
@@ -320,6 +323,7 @@ def _add_force(term: Term, types: SimpleNamespace, key: str) -> Any:
     read, law = reader(term, types, key), term.law
 
     def add_own(e: int, i: int, fx: Any, g: Any, sofar: Any):
+        """Return the force [N] that the law makes of ``sofar``."""
         return law(type(g)(sofar, g.contact, g.turn, g.first, g.gravity, g.opened, g.heading, g.time), read(e, i, fx))
 
     return function_of(add_own, term, f"add{key}")
@@ -337,6 +341,7 @@ def _both(before: Any, own: Any) -> Any:
     """Return a function that calls two; each has a closure of its own, for Warp looks into it when it hashes."""
 
     def both(x: Any):
+        """Refer to both: the hash of what refers to this function covers them."""
         before(x)
         own(x)
 
@@ -359,6 +364,7 @@ def laws_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: str
     named = named_all(adds, f"{key}_{kind}")
 
     def joint(e: int, i: int, fx: Any, j: Any, r: Any):
+        """Return ``r`` plus torque, stiffness and damping of all active laws at joint i."""
         if wp.static(False):
             named(r)
         sofar = type(r)(r.torque, r.memory, r.stiffness, r.damping)
@@ -368,6 +374,7 @@ def laws_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: str
         return sofar
 
     def link(e: int, i: int, fx: Any, b: Any):
+        """Return the sum of the active laws' forces on link i at the point of ``b``, world axes [N]."""
         if wp.static(False):
             named(b)
         sofar = b.velocity - b.velocity
@@ -377,6 +384,7 @@ def laws_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: str
         return sofar
 
     def force(e: int, i: int, fx: Any, g: Any):
+        """Return the force that truly acts [N]: the recorded one, changed by one active law after the other."""
         if wp.static(False):
             named(g)
         sofar = type(g.force)(g.force.x, g.force.y, g.force.z)
@@ -397,6 +405,7 @@ def strips_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
     law, LinkState, Wrench = laws_of("link", terms, types, key), types.LinkState, types.Wrench
 
     def strips(e: int, row: int, i: int, m: Any, fx: Any, s: Any, time: Any):
+        """Return force [N] and moment about the joint [N m] of the laws on link i, from Gauss's two points."""
         pose = s.pose[row, i]
         middle = rotate(pose, fx.centre[e, i])
         velocity = centre_velocity(e, row, i, m, s, middle)
@@ -444,6 +453,7 @@ def strain_of(law: Any, types: SimpleNamespace, key: str) -> Any:
     JointState, Response = types.JointState, types.Response
 
     def strain(e: int, i: int, m: Any, x: Any, fx: Any, h: wp.float64, time: Any):
+        """Return the laws' response at joint i, of its present coordinate, velocity, pre-load and spring."""
         w = x.velocity[e, i]
         o = real(0.0, time)
         zero = type(w)(o, o, o)

@@ -161,7 +161,9 @@ def below(a: F, b: F):
 
 
 @wp.func_native("return __builtin_ctz(bits);")
-def first_bit(bits: int) -> int: ...
+def first_bit(bits: int) -> int:
+    """Number of the lowest bit that is set; ``bits`` is not 0."""
+    ...
 
 
 # ---- 8 or 16 lanes -----------------------------------------------------------------------------------------------

@@ -439,6 +439,7 @@ def sample_kernel(width: int = 1) -> Any:
         capsules_in: Shapes, num_arm: int, target_in: Shapes, cap: float, seed: int, tick_in: wp.array(dtype=int),
         first: int, first_row: int, count: int, team: int, c_out: Clouds,
     ):  # fmt: skip
+        """Draw cloud k of a world on its capsules and note its bounds; thread t draws its run of tiles."""
         tag = SOURCE  # noqa: F841
         g, k, t, lane = wp.tid()
         i = g * S + lane
@@ -484,6 +485,7 @@ def blur_kernel(width: int = 1) -> Any:
         target_in: Shapes, zoom: float, seed: int, tick_in: wp.array(dtype=int),
         max_noise_in: wp.array(dtype=wp.float32), first: int, first_row: int, count: int, team: int, c_out: Clouds,
     ):  # fmt: skip
+        """Move the points of cloud k of a world by noise of a third of ``max_noise_in`` [m]; mark branch points."""
         tag = SOURCE  # noqa: F841
         g, k, t, lane = wp.tid()
         i = g * S + lane

@@ -129,6 +129,7 @@ def embed_clouds_kernel(width: int = 1) -> Any:
         c_in: Clouds, waves_in: wp.array(dtype=wp.vec3), column: wp.array(dtype=int), first: int, first_row: int,
         count: int, team: int, observation_out: wp.array2d(dtype=wp.float32),
     ):  # fmt: skip
+        """Write the features of cloud k of a world, every ``team``-th from t, into the columns that are wanted."""
         tag = SOURCE  # noqa: F841
         g, k, t, lane = wp.tid()
         i = g * S + lane

@@ -25,6 +25,7 @@ def given_kernel(width: int = 1) -> Any:
         point_in: wp.array3d(dtype=wp.float32), present_in: wp.array(dtype=int), target_in: Shapes, zoom: float,
         first: int, first_row: int, c_out: Clouds,
     ):  # fmt: skip
+        """Copy a world's seen points into its branches' cloud, note their bounds and mark those near the target."""
         tag = SOURCE  # noqa: F841
         i = wp.tid()
         w = first + i

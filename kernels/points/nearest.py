@@ -178,6 +178,7 @@ def occlusion_kernel(width: int = 1) -> Any:
         c_in: Clouds, limit: float, most: int, first: int, first_row: int, worlds: int,
         count_out: wp.array2d(dtype=int),
     ):  # fmt: skip
+        """Write how many branch-target pairs with d2 < ``limit`` thread t finds in a world, up to ``most``."""
         tag = SOURCE  # noqa: F841
         g, t, lane = wp.tid()
         i = g * S + lane
@@ -353,6 +354,7 @@ def nearest_kernel(width: int = 1) -> Any:
         c_in: Clouds, place_in: wp.array(dtype=wp.vec3), far: float, first: int, first_row: int, worlds: int,
         point_out: wp.array2d(dtype=Few),
     ):  # fmt: skip
+        """Write the five least squared distances [m^2] that thread t finds from a world's place to its branches."""
         tag = SOURCE  # noqa: F841
         g, t, lane = wp.tid()
         i = g * S + lane
@@ -383,6 +385,7 @@ def margin_kernel(width: int = 1) -> Any:
         c_in: Clouds, near: float, limit: float, first: int, first_row: int, worlds: int,
         pair_out: wp.array2d(dtype=Few),
     ):  # fmt: skip
+        """Write the five least squared distances [m^2] that thread t finds between a world's robot and target."""
         tag = SOURCE  # noqa: F841
         g, t, lane = wp.tid()
         i = g * S + lane

@@ -56,10 +56,12 @@ for _W in (8, 16):
 
     @wp.func
     def coordinates(points: wp.array3d(dtype=wp.float32), b: int, n: int, axis: int, like: Lanes):
+        """Coordinate ``axis`` [m] of points n, n + 1, ... of cloud b, a point a lane; 0 beyond the last."""
         return type(like)(_coordinates(points, b, n, axis, points.shape[1], like.v))
 
     @wp.func
     def weights(mask: wp.array2d(dtype=wp.bool), masked: int, b: int, n: int, count: int, like: Lanes):
+        """1 for points n, n + 1, ... of cloud b that count, a point a lane; 0 for those masked and beyond the last."""
         return type(like)(_weights(mask, masked, b, n, count, like.v))
 
 
@@ -133,6 +135,7 @@ def embed_points_kernel(width: int = 1) -> Any:
         waves_in: wp.array(dtype=wp.vec3), first: int, row: int, sum_out: wp.array2d(dtype=Real),
         embedding_out: wp.array2d(dtype=wp.float32),
     ):  # fmt: skip
+        """Write the features of cloud b: of frequency f on a GPU, of all frequencies on a CPU."""
         tag = SOURCE  # noqa: F841
         f, i = wp.tid()
         b = first + i
@@ -159,6 +162,7 @@ def count_pairs_kernel(width: int = 1) -> Any:
         b_in: wp.array3d(dtype=wp.float32), b_mask: wp.array2d(dtype=wp.bool), b_masked: int,
         limit: float, most: int, first: int, like: wp.array(dtype=Real), count_out: wp.array2d(dtype=int),
     ):  # fmt: skip
+        """Write how many pairs with d2 < ``limit`` thread t finds between clouds e, up to ``most``."""
         tag = SOURCE  # noqa: F841
         t, i = wp.tid()
         e = first + i

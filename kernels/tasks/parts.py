@@ -85,16 +85,23 @@ def _function(body: Callable[..., Any], name: str) -> Any:
 
 def _sum_of(terms: Sequence[tuple[Any, bool]], key: str) -> Any:
     def none(world: int, v: Any, s: Any):
+        """The reward before any term: 0."""
         return wp.float32(0.0)
 
     def plus(before: Any, term: Any, name: str) -> Any:
+        """Return the function before + term."""
+
         def added(world: int, v: Any, s: Any):
+            """Reward of a world up to here, plus this term."""
             return before(world, v, s) + term(world, v, s)
 
         return _function(added, name)
 
     def times(before: Any, term: Any, name: str) -> Any:
+        """Return the function before x term."""
+
         def scaled(world: int, v: Any, s: Any):
+            """Reward of a world up to here, times this factor."""
             return before(world, v, s) * term(world, v, s)
 
         return _function(scaled, name)
@@ -109,10 +116,14 @@ def _all_of(parts: Sequence[Any], key: str) -> Any:
     """Device function that calls parts one after the other."""
 
     def none(world: int, v: Any, s: Any):
+        """Do nothing; where a chain begins."""
         pass
 
     def then(before: Any, part: Any, name: str) -> Any:
+        """Return the function that calls those before and then a part."""
+
         def both(world: int, v: Any, s: Any):
+            """Call the parts before, then this one, for a world."""
             before(world, v, s)
             part(world, v, s)
 
@@ -126,10 +137,14 @@ def _all_of(parts: Sequence[Any], key: str) -> Any:
 
 def _any_of(conditions: Sequence[Any], key: str) -> Any:
     def none(world: int, v: Any, s: Any):
+        """False; where a chain of conditions begins."""
         return wp.bool(False)
 
     def either(before: Any, condition: Any, name: str) -> Any:
+        """Return the function that is true where those before or a condition are."""
+
         def met(world: int, v: Any, s: Any):
+            """Whether a world meets this condition or any before."""
             return before(world, v, s) or condition(world, v, s)
 
         return _function(met, name)
@@ -142,10 +157,14 @@ def _any_of(conditions: Sequence[Any], key: str) -> Any:
 
 def _log_of(measures: Sequence[Any], key: str) -> Any:
     def none(world: int, v: Any, s: Any, log: Any):
+        """Write nothing; where a chain of measures begins."""
         pass
 
     def then(before: Any, measure: Any, column: int, name: str) -> Any:
+        """Return the function that writes the columns before and then a measure into its own."""
+
         def written(world: int, v: Any, s: Any, log: Any):
+            """Write the measures up to this one into a world's row of ``log`` [worlds, measures]."""
             before(world, v, s, log)
             log[world, wp.static(column)] = measure(world, v, s)
 
@@ -159,10 +178,14 @@ def _log_of(measures: Sequence[Any], key: str) -> Any:
 
 def _sight_of(groups: Sequence[tuple[Any, int]], key: str) -> Any:
     def none(world: int, v: Any, s: Any, seen: Any):
+        """Show nothing; where a chain of groups begins."""
         pass
 
     def then(before: Any, group: Any, first: int, name: str) -> Any:
+        """Return the function that writes the groups before and then a group from column ``first`` on."""
+
         def shown(world: int, v: Any, s: Any, seen: Any):
+            """Write the groups of observations up to this one into a world's row of ``seen`` [worlds, columns]."""
             before(world, v, s, seen)
             group(world, wp.static(first), v, s, seen)
 

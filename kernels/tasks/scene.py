@@ -90,6 +90,7 @@ class Place:
 
 @wp.func
 def between(bounds: wp.vec2, u: float) -> float:
+    """Number a share u, 0 to 1, of the way from the first bound to the second."""
     return bounds[0] + (bounds[1] - bounds[0]) * u
 
 

@@ -152,6 +152,7 @@ def inverse_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
         m: Model, x_in: State, u_in: Load, acceleration_in: wp.array2d(dtype=Vec), s_out: Scratch, first: int, row: int,
         effort_out: wp.array2d(dtype=Vec),
     ):  # fmt: skip
+        """Write the efforts that give a group's joints ``acceleration_in`` in the present state, under its load."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
@@ -164,6 +165,7 @@ def inverse_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
         motion_in: wp.array2d(dtype=wp.vec3d), s_out: Scratch, first: int, row: int, all_out: wp.array2d(dtype=Vec),
         effort_out: wp.array2d(dtype=Real),
     ):  # fmt: skip
+        """Write the efforts that move the watched joints as the recording of a group says, sample by sample."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)

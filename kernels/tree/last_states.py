@@ -27,6 +27,7 @@ def keep_kernels(precision: int = 32) -> SimpleNamespace:
         velocity_in: wp.array4d(dtype=Scalar), tick_out: wp.array2d(dtype=int),
         coordinate_out: wp.array4d(dtype=Scalar), velocity_out: wp.array4d(dtype=Scalar),
     ):  # fmt: skip
+        """Write the state at place i of the alive worlds of group g into the ring's present entry."""
         tag = SOURCE  # noqa: F841
         g, i = wp.tid()
         row = (written[g] % size) * groups + g

@@ -59,6 +59,7 @@ def pose_kernel(width: int = 1, precision: int = 32) -> Any:
         slot_world: wp.array(dtype=int), slot_link: wp.array2d(dtype=int), s_out: Scratch, first: int, row: int,
         position_out: wp.array2d(dtype=Out3), rotation_out: wp.array2d(dtype=Out4),
     ):  # fmt: skip
+        """Write the body frames of a group's worlds: positions [m], world axes, and quaternions w, x, y, z."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
@@ -89,6 +90,7 @@ def probe_kernel(width: int = 1, precision: int = 32) -> Any:
         slot_world: wp.array(dtype=int), s_out: Scratch, first: int, row: int,
         position_out: wp.array2d(dtype=Out3), velocity_out: wp.array2d(dtype=Out3),
     ):  # fmt: skip
+        """Write positions [m] and velocities [m/s] of the points of a group's worlds, world axes."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
@@ -163,6 +165,7 @@ def energy_kernel(width: int = 1, precision: int = 32) -> Any:
         m: Model, x_in: State, slot_world: wp.array(dtype=int), s_out: Scratch, first: int, row: int,
         energy_out: wp.array2d(dtype=Out), momentum_out: wp.array2d(dtype=Out3),
     ):  # fmt: skip
+        """Write kinetic, weight's and springs' energy [J], linear [N s] and angular [N m s] momentum of a group."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)

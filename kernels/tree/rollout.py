@@ -170,6 +170,7 @@ def rollout_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
         length: wp.array(dtype=int), input_in: wp.array3d(dtype=wp.float64), s_out: Scratch, first: int, row: int,
         substeps: int, h: wp.float64, bound: wp.float64, output_out: wp.array2d(dtype=Real),
     ):  # fmt: skip
+        """Push a link as the trajectory of a group says, and write how its load point moves."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
@@ -184,6 +185,7 @@ def rollout_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
         s_out: Scratch, first: int, row: int, substeps: int, h: wp.float64, bound: wp.float64,
         output_out: wp.array2d(dtype=Real),
     ):  # fmt: skip
+        """Drive joints as the trajectory of a group says, and write how the watched ones move."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)

@@ -75,6 +75,7 @@ def _rupture_kernel(W: int) -> Any:
         coordinate_in: wp.array4d(dtype=wp.float32), strength_in: wp.array2d(dtype=wp.float32), spring_out: Springs,
         broken_out: wp.array2d(dtype=int),
     ):  # fmt: skip
+        """Break the joint at a slot's place where K |q| exceeds its strength [N m, or N of a slide]."""
         tag = SOURCE  # noqa: F841
         slot, place = wp.tid()
         i = place + 1
@@ -99,6 +100,7 @@ def _heal_kernel(W: int) -> Any:
         mask: wp.array(dtype=wp.bool), slot_world: wp.array(dtype=int), slot_link: wp.array2d(dtype=int),
         whole_in: Springs, spring_out: Springs, broken_out: wp.array2d(dtype=int),
     ):  # fmt: skip
+        """Copy K, D and preload from ``whole_in`` to the joint at a slot's place, if it is broken and masked."""
         tag = SOURCE  # noqa: F841
         slot, place = wp.tid()
         i = place + 1
@@ -120,6 +122,7 @@ def _note_kernel(W: int) -> Any:
         slot_world: wp.array(dtype=int), slot_link: wp.array2d(dtype=int), spring_in: Springs,
         broken_in: wp.array2d(dtype=int), whole_out: Springs,
     ):  # fmt: skip
+        """Copy K, D and preload of the joint at a slot's place to ``whole_out``, unless it is broken."""
         tag = SOURCE  # noqa: F841
         slot, place = wp.tid()
         i = place + 1

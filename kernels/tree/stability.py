@@ -200,6 +200,7 @@ def damping_kernel(width: int = 1, precision: int = 32) -> Any:
         m: Model, x_in: State, s_out: Scratch, first: int, row: int, h: wp.float64, margin: wp.float64,
         damping_out: wp.array2d(dtype=Real), limit_out: wp.array2d(dtype=Real),
     ):  # fmt: skip
+        """Judge a group's links from the tips to the root, then write dampings and speed limits."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)

@@ -34,6 +34,7 @@ def _step_kernel(t: SimpleNamespace, free: bool) -> Any:
     def step(
         m: Model, x_in_out: State, s_out: Scratch, first: int, row: int, substeps: int, h: wp.float64, bound: wp.float64
     ):
+        """Advance a group by ``substeps`` steps of ``h`` [s] under gravity."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
@@ -59,6 +60,7 @@ def _loaded_kernel(t: SimpleNamespace, free: bool) -> Any:
         m: Model, x_in_out: State, u_in: Load, s_out: Scratch, first: int, row: int, substeps: int, h: wp.float64,
         bound: wp.float64,
     ):  # fmt: skip
+        """Advance a group by ``substeps`` steps of ``h`` [s] under gravity and the load ``u_in``."""
         tag = SOURCE  # noqa: F841
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)

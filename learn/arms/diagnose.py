@@ -55,6 +55,7 @@ class ArmDiagnosis:
         arm = self.case.arm
 
         def value(kind: Kind, effect: str) -> float:
+            """Return the value of the joint's effect as one channel has it, 0 where it is not claimed."""
             found = self.named(joint, kind, effect)
             return 0.0 if found is None else found.value
 

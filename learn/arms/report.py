@@ -60,6 +60,7 @@ def gap(channels: Sequence[Channel], kind: Kind) -> dict[str, Any]:
     mine = [c for c in channels if c.kind == kind]
 
     def rms(key: str) -> float:
+        """Return the rms over the channels' joints of one of their numbers."""
         return float(np.sqrt(np.mean([getattr(c, key) ** 2 for c in mine])))
 
     return {"base": rms("base"), "repaired": rms("repaired"), "noise_floor": rms("floor"), "unit": UNITS[kind],

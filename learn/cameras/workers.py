@@ -79,6 +79,7 @@ class Board:
         joints: tuple[int, ...] = (dofs,)
 
         def picture(height: int, width: int, more: dict[str, tuple[str, tuple[int, ...]]]) -> Ring:
+            """Return the ring of a camera's pictures, depths, intrinsics and arm's angles, and ``more`` beside."""
             return Ring({"time": ("f8", ()), "colour": ("u1", (height, width, 3)), "depth": ("f4", (height, width)),
                          "intrinsics": ("f8", (4,)), "q": ("f8", joints), "ground": ("f8", ())} | more)  # fmt: skip
 

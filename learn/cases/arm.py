@@ -148,6 +148,7 @@ def _load(folder: Path, meta: JointMeta, index: int, arm: Arm) -> tuple[ArmTraje
     asked = {item.joint: len(torques) + i for i, item in enumerate(commands)}
 
     def of(where: dict[str, int], values: Array) -> Array | None:
+        """Return the columns of the arm's joints in its order, [T, n], None where none were recorded."""
         return values[:, [where[name] for name in joints]] if where else None
 
     position = np.unwrap(read.output[:, [places[name] for name in joints]], axis=0)

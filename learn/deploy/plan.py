@@ -158,6 +158,7 @@ def read_driver(path: Path, registry: TaskRegistry, *, told: bool = False) -> Dr
 
     @torch.inference_mode()
     def act(observation: torch.Tensor) -> torch.Tensor:
+        """Return the policy's actions for observations [1, columns], without its noise."""
         action: torch.Tensor = network(TensorDict({"policy": observation}, batch_size=[1]))
         return action
 

@@ -143,12 +143,15 @@ def _joint_number(joint: JointSpec) -> tuple[str, Callable[[dict[str, float]], f
     gravity = joint.gravity_torque
 
     def known(v: dict[str, float], kind: str, value: float | None) -> float:
+        """Return a base parameter of the joint, or the number that the case gives for it, or 0."""
         return v.get(f"{kind} {joint.name}", value or 0.0)
 
     def inertia(v: dict[str, float]) -> float:
+        """Return the joint's inertia [kg m^2]."""
         return known(v, "inertia", joint.inertia)
 
     def frequency(v: dict[str, float]) -> float:
+        """Return (stiffness + gravity torque) / inertia, the squared frequency of small swings [rad^2/s^2]."""
         hanging = known(v, "gravity torque", gravity.amplitude if gravity else None)
         return (known(v, "stiffness", joint.stiffness) + hanging) / inertia(v)
 

@@ -79,6 +79,7 @@ def velocities(now: Now, bodies: Numbers, place: Array) -> Array:
 
 def _drag(power: float = 2.0, linear: float = 0.0) -> Draft:
     def make(strength: float) -> Part:
+        """Return the drag in a fluid at rest whose density is the strength [kg/m^3]."""
         params = {"density_kgpm3": strength, "power": power, "linear_mps": linear}
         return Part(params, law=lambda: Drag(strength, power=power, linear=linear))
 
@@ -105,6 +106,7 @@ def leafy(rng: Random, scale: Scale, joint: int) -> Draft:
     seed = int(rng.integers(2**31))
 
     def make(strength: float) -> Part:
+        """Return the drag of links and leaf clusters in a fluid whose density is the strength [kg/m^3]."""
         return Part({"density_kgpm3": strength, "seed": seed}, law=lambda: Leafy(strength, seed=seed))
 
     return Draft(make, 0.2, 5.0, 2000.0)
@@ -145,9 +147,11 @@ def _wind(
     start = float(np.arctan2(direction[1], direction[0]))
 
     def make(strength: float) -> Part:
+        """Return the drag in a steady wind of this dynamic pressure at the branch's base [Pa]."""
         speed = float(np.sqrt(2 * strength / AIR))
 
         def wind(time: Array, place: Array) -> Array:
+            """Return the wind at places [m], [N, B, 3]: level, with a speed [m/s] and direction of the height alone."""
             height = np.maximum(0.05, place[..., 2] + TRUNK_PIVOT)
             turn = start + veer * (height - TRUNK_PIVOT)
             size = speed * profile(height)
@@ -174,6 +178,7 @@ def log_law(rng: Random, scale: Scale, joint: int) -> Draft:
     rough = float(rng.uniform(0.01, 0.1))
 
     def profile(height: Array) -> Array:
+        """Return ln(z / z0) / ln(z1 / z0): speed at heights z [m] over that at the base, z0 the roughness."""
         return np.asarray(np.log(np.maximum(height, 1.01 * rough) / rough) / np.log(TRUNK_PIVOT / rough))
 
     return _wind(scale, _level(rng), profile, roughness_m=rough)
@@ -201,9 +206,11 @@ def _gust(rng: Random, scale: Scale, swing: Callable[[Array], Array], **params: 
     direction = _level(rng)
 
     def make(strength: float) -> Part:
+        """Return the drag in a gust whose dynamic pressure [Pa] at the swing of one is the strength."""
         speed = float(np.sqrt(2 * strength / AIR))
 
         def wind(time: Array, place: Array) -> Array:
+            """Return the speed [m/s] times the swing at each time along the one direction, alike at all places."""
             return np.asarray(speed * swing(np.asarray(time))[:, None, None] * direction + 0 * place)
 
         said = {"speed_mps": speed, "pressure_Pa": strength, "direction": direction.tolist(), **params}
@@ -216,6 +223,7 @@ def waves(amplitude: Array, frequency: Array, phase: Array) -> Callable[[Array],
     """Return a sum of sines of the time [s] as a function; amplitudes, frequencies [Hz] and phases [rad], all [M]."""
 
     def swing(time: Array) -> Array:
+        """Return sum_m A_m sin(2 pi f_m t + p_m) at times t [s] of any shape."""
         turns = 2 * np.pi * np.asarray(time)[..., None] * frequency + phase
         return np.asarray((amplitude * np.sin(turns)).sum(axis=-1))
 
@@ -235,6 +243,7 @@ def one_minus_cosine(rng: Random, scale: Scale, joint: int) -> Draft:
     period, length, late = float(rng.uniform(2, 4)), float(rng.uniform(0.7, 1.8)), float(rng.uniform(0, 4))
 
     def swing(time: Array) -> Array:
+        """Return (1 - cos(2 pi s / length)) / 2 at s [s] since a gust began, 0 in the calm."""
         since = np.mod(time - late, period)
         return np.asarray(np.where(since < length, (1 - np.cos(2 * np.pi * since / length)) / 2, 0.0))
 

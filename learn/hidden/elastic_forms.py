@@ -138,6 +138,7 @@ def exponential(rng: Random, scale: Scale, joint: int) -> Draft:
     k, a = _at(scale, joint)
 
     def make(strength: float) -> Part:
+        """Return the torque -K (sinh(b phi) / b - phi), b = sqrt(6 strength) / a."""
         b = np.sqrt(6 * strength) / a
         return _spring(joint, {"rate_prad": b}, lambda phi: -k * (np.sinh(np.clip(b * phi, -4, 4)) / b - phi))
 
@@ -149,6 +150,7 @@ def softening(rng: Random, scale: Scale, joint: int) -> Draft:
     k, a = _at(scale, joint)
 
     def make(strength: float) -> Part:
+        """Return the torque K (phi - tanh(b phi) / b), b = sqrt(3 strength) / a."""
         b = np.sqrt(3 * strength) / a
         return _spring(joint, {"rate_prad": b}, lambda phi: k * (phi - np.tanh(b * phi) / b))
 
@@ -160,6 +162,7 @@ def quintic(rng: Random, scale: Scale, joint: int) -> Draft:
     (k, a), sign = _at(scale, joint), _sign(rng, 0.65)
 
     def make(strength: float) -> Part:
+        """Return the torque -K s (phi / a)^4 phi, s the strength with its sign."""
         s = sign * strength
         return _spring(joint, {"relative": s, "angle_rad": a},
                        lambda phi: -k * s * np.clip(phi / a, -FAR, FAR) ** 4 * phi)  # fmt: skip
@@ -172,6 +175,7 @@ def radial(rng: Random, scale: Scale, joint: int) -> Draft:
     (k, a), sign = _at(scale, joint), _sign(rng, 0.65)
 
     def make(strength: float) -> Part:
+        """Return the torque -K s |phi|^2 / a^2 phi, s the strength with its sign."""
         s = sign * strength
         return _spring(joint, {"relative": s, "angle_rad": a},
                        lambda phi: -k * s * (phi**2).sum(axis=-1, keepdims=True) / a**2 * phi)  # fmt: skip
@@ -190,9 +194,11 @@ def _one_sided(
     sign, side = _sign(rng), _sign(rng)
 
     def make(strength: float) -> Part:
+        """Return the one-sided torque of share s, the strength with its sign."""
         s = sign * strength
 
         def torque(phi: Array) -> Array:
+            """Return -K s a shape(u / a) about the axis, towards its side, for angles phi [N, 3]."""
             u = side * (phi @ axis) / a
             return np.asarray(-s * k * a * side * shape(u)[:, None] * axis)
 
@@ -226,6 +232,7 @@ def _loose(scale: Scale, joint: int, lack: Callable[[Array, float], Array], para
     k, a = _at(scale, joint)
 
     def make(strength: float) -> Part:
+        """Return the torque K lack(phi, g) with the half width g = strength x a [rad]."""
         gap = strength * a
         return _spring(joint, {"gap_rad": gap, **params}, lambda phi: k * lack(phi, gap))
 
@@ -248,6 +255,7 @@ def hertz(rng: Random, scale: Scale, joint: int) -> Draft:
     a = float(scale.angle[joint])
 
     def lack(phi: Array, gap: float) -> Array:
+        """Return phi - sign(phi) max(0, |phi| - g)^1.5 / sqrt(a), what the contact's spring lacks [rad]."""
         return np.asarray(phi - np.sign(phi) * np.maximum(0.0, np.abs(phi) - gap) ** 1.5 / np.sqrt(a))
 
     return _loose(scale, joint, lack, {})
@@ -262,6 +270,7 @@ def section(rng: Random, scale: Scale, joint: int) -> Draft:
     other = np.cross([0.0, 0.0, 1.0], axis)
 
     def make(strength: float) -> Part:
+        """Return the torque of the stiffness s K (n n^T - m m^T), n and m the two axes, s the strength."""
         matrix = strength * k * (np.outer(axis, axis) - np.outer(other, other))
         return Part({"relative": strength, "axis_rad": turn}, joint, lambda: Directed(joint, matrix))
 
@@ -274,6 +283,7 @@ def orthotropic(rng: Random, scale: Scale, joint: int) -> Draft:
     twist = sign * float(rng.uniform(-0.5, 0.5))
 
     def make(strength: float) -> Part:
+        """Return the torque of s K n n^T and a share of it in twist, s the strength with its sign."""
         matrix = sign * strength * k * np.outer(axis, axis) + twist * strength * k * np.diag([0.0, 0.0, 1.0])
         params = {"relative": sign * strength, "axis_rad": turn, "twist": twist}
         return Part(params, joint, lambda: Directed(joint, matrix))
@@ -287,7 +297,10 @@ def turning_axes(rng: Random, scale: Scale, joint: int) -> Draft:
     turns = _sign(rng) * float(rng.uniform(0.2, 0.6))
 
     def make(strength: float) -> Part:
+        """Return the torque of an axis that turns with the bend, s the strength with its sign."""
+
         def torque(phi: Array) -> Array:
+            """Return minus the gradient of K s (phi n)^2 / 2 by phi [N, 3], n(|bend|) turned."""
             bend = phi * [1.0, 1.0, 0.0]
             size = np.sqrt((bend**2).sum(axis=1))
             now = turn + turns * size / a
@@ -308,7 +321,10 @@ def quadratic_coupling(rng: Random, scale: Scale, joint: int) -> Draft:
     along = np.array([0.0, 0.0, 1.0])
 
     def make(strength: float) -> Part:
+        """Return the torque of the energy K s u^2 t / a, s the strength with its sign."""
+
         def torque(phi: Array) -> Array:
+            """Return -K s (2 u t n + u^2 e_z) / a, bend u and twist t of phi [N, 3] bounded."""
             u, t = np.clip(phi @ axis, -FAR * a, FAR * a)[:, None], np.clip(phi[:, 2:], -a, a)
             return np.asarray(-sign * strength * k / a * (2 * u * t * axis + u * u * along))
 
@@ -323,7 +339,10 @@ def saturating_coupling(rng: Random, scale: Scale, joint: int) -> Draft:
     along = np.array([0.0, 0.0, 1.0])
 
     def make(strength: float) -> Part:
+        """Return the torque of the energy K s a^2 tanh(u / a) tanh(t / a), s the strength with its sign."""
+
         def torque(phi: Array) -> Array:
+            """Return minus the gradient of that energy by phi [N, 3], in bend n and twist e_z."""
             u, t = np.tanh(phi @ axis / a)[:, None], np.tanh(phi[:, 2:] / a)
             return np.asarray(-sign * strength * k * a * ((1 - u * u) * t * axis + (1 - t * t) * u * along))
 
@@ -347,6 +366,7 @@ def voce(rng: Random, scale: Scale, joint: int) -> Draft:
     more = float(rng.uniform(1.0, 1.6)) * a
 
     def make(strength: float) -> Part:
+        """Return a set of yield angle y + Q (1 - exp(-b alpha)), b = (1 / strength - 1) / Q."""
         b = (1 / strength - 1) / more
         params = {"yield_rad": y, "saturation_rad": more, "rate_prad": b}
         return Part(params, joint, lambda: Set(joint, k, lambda w: y - more * np.expm1(-b * w), b * more))
@@ -360,6 +380,7 @@ def chaboche(rng: Random, scale: Scale, joint: int) -> Draft:
     part, gamma = float(rng.uniform(0.2, 0.5)), 1 / a
 
     def make(strength: float) -> Part:
+        """Return a set of hardening h = 1 / strength - 1, a share of it kinematic and the rest isotropic."""
         h = 1 / strength - 1
         params = {"yield_rad": y, "isotropic": (1 - part) * h, "kinematic": part * h, "gamma_prad": gamma}
         grown = (1 - part) * h
@@ -374,6 +395,7 @@ def norton(rng: Random, scale: Scale, joint: int) -> Draft:
     time = float(rng.uniform(0.01, 0.06)) * scale.duration
 
     def make(strength: float) -> Part:
+        """Return a set of yield angle y + h alpha, h = 1 / strength - 1, reached with a time constant [s]."""
         h = 1 / strength - 1
         params = {"yield_rad": y, "hardening": h, "time_s": time}
         return Part(params, joint, lambda: Set(joint, k, lambda w: y + h * w, h, time=time))
@@ -390,7 +412,10 @@ def _breaking(
     limit = float(rng.uniform(0.4, 0.7)) * a
 
     def make(strength: float) -> Part:
+        """Return the damage of which at most the strength, a share of K, can be lost."""
+
         def share(state: float) -> float:
+            """Return the share of K that is lost after a largest angle, or after a turn beyond the limit [rad]."""
             return strength * lost(state / limit, limit / a)
 
         return Part({"share": strength, "limit_rad": limit}, joint, lambda: Damage(joint, k, limit, share, worn, sags))

@@ -28,6 +28,7 @@ def _trunk(rng: Random, scale: Scale, depth: float, parts: int = 1, lag: tuple[f
     lever = max(1.0, (depth / TRUNK_PIVOT) ** 2)
 
     def make(strength: float) -> Part:
+        """Return a trunk of joints with k = K_1 x parts x lever / strength [N m/rad], damped by k times a time [s]."""
         k = first / strength * lever * parts
         params = {"stiffness_Nmprad": k, "relaxation_s": time, "trunk_mass_kg": mass, "depth_m": depth, "parts": parts}
         return Part(params, trunk=Trunk(k, k * time, mass, depth, parts))
@@ -55,6 +56,7 @@ def _ball(scale: Scale, make: Callable[[float], tuple[tuple[Array, float], ...]]
     whole = float(scale.branch.mass().sum())
 
     def part(strength: float) -> Part:
+        """Return masses at the tip that make up the strength, a share of the branch's mass."""
         twig = make(strength * whole)
         places = [place.round(5).tolist() for place, _ in twig]
         return Part({"mass_kg": strength * whole, "places_m": places}, twig=twig)
@@ -104,6 +106,7 @@ def _slide(scale: Scale, rate: Callable[[Array, Array], Array], way: float, **pa
     room = (0.9 * scale.branch.grasp_distance, 0.98 * end - scale.branch.grasp_distance)
 
     def make(strength: float) -> Part:
+        """Return a slide of mobility strength x length / (force x duration) [m/(N s)], negative towards the base."""
         mobility = way * strength * end / (scale.force * scale.duration)
         return Part({"mobility_mpNs": mobility, **params}, law=lambda: Slide(mobility, 0.0, 0.0, room, rate))
 
@@ -119,6 +122,7 @@ def threshold(rng: Random, scale: Scale, joint: int) -> Draft:
     limit = float(rng.uniform(0.15, 0.5)) * scale.force
 
     def rate(force: Array, axis: Array) -> Array:
+        """Return max(0, |F| - limit) [N] of forces [N, 3]."""
         return np.maximum(0.0, np.sqrt((force**2).sum(axis=1)) - limit)
 
     return _slide(scale, rate, _way(rng), limit_N=limit)
@@ -128,6 +132,7 @@ def creeping(rng: Random, scale: Scale, joint: int) -> Draft:
     """Draw a soft grip without a limit, whose rate goes with the square of the force."""
 
     def rate(force: Array, axis: Array) -> Array:
+        """Return |F|^2 over the largest force [N] of forces [N, 3]."""
         return np.asarray((force**2).sum(axis=1) / scale.force)
 
     return _slide(scale, rate, _way(rng))
@@ -138,6 +143,7 @@ def rubbing(rng: Random, scale: Scale, joint: int) -> Draft:
     limit, weight = float(rng.uniform(0.15, 0.45)) * scale.force, float(rng.uniform(0.3, 0.8))
 
     def rate(force: Array, axis: Array) -> Array:
+        """Return max(0, |F| + weight |F along the segment| - limit) [N] of forces [N, 3]."""
         along = np.abs((force * axis).sum(axis=1))
         return np.maximum(0.0, np.sqrt((force**2).sum(axis=1)) + weight * along - limit)
 
@@ -149,6 +155,7 @@ def dragged(rng: Random, scale: Scale, joint: int) -> Draft:
     limit = float(rng.uniform(0.05, 0.2)) * scale.force
 
     def rate(force: Array, axis: Array) -> Array:
+        """Return the force along the segment less the limit, with its sign [N], 0 within the limit."""
         along = (force * axis).sum(axis=1)
         return np.asarray(np.sign(along) * np.maximum(0.0, np.abs(along) - limit))
 
@@ -169,6 +176,7 @@ def warming(rng: Random, scale: Scale, joint: int) -> Draft:
     level = 1 - more * np.expm1(-3 * (scale.clock - scale.clock[0]) / span)[:, None, None]
 
     def make(strength: float) -> Part:
+        """Return an offset of strength x largest force [N] that drifts over the recordings."""
         bias = strength * scale.force * direction
         return _sensed({"force_N": bias.tolist(), "drift": more}, lambda force: force + level * bias)
 
@@ -181,6 +189,7 @@ def rezeroed(rng: Random, scale: Scale, joint: int) -> Draft:
     other = direction + share * rng.normal(size=(len(scale.clock), 3)) / np.sqrt(3)
 
     def make(strength: float) -> Part:
+        """Return an offset of strength x largest force [N], scattered from recording to recording."""
         size = strength * scale.force
         said: dict[str, float | list[float]] = {"force_N": (size * direction).tolist(), "scatter": share}
         return _sensed(said, lambda force: force + size * other[:, None])
@@ -193,6 +202,7 @@ def per_axis(rng: Random, scale: Scale, joint: int) -> Draft:
     sign, lean = float(rng.choice([-1, 1])), 1 + rng.uniform(-0.2, 0.2, 3)
 
     def make(strength: float) -> Part:
+        """Return gains exp(+- strength x lean), one an axis."""
         gain = np.exp(sign * strength * lean)
         return _sensed({"scale": float(np.exp(sign * strength)), "axes": gain.tolist()}, lambda force: force * gain)
 
@@ -204,9 +214,11 @@ def curved(rng: Random, scale: Scale, joint: int) -> Draft:
     sign, curve = float(rng.choice([-1, 1])), float(rng.uniform(0.1, 0.25))
 
     def make(strength: float) -> Part:
+        """Return a gain exp(+- strength) that falls off by curve x strength at the largest force."""
         gain = float(np.exp(sign * strength))
 
         def sense(force: Array) -> Array:
+            """Return g (1 - c |F| / Fmax) F of forces [N, T, 3], in N."""
             size = np.sqrt((force**2).sum(axis=-1, keepdims=True)) / scale.force
             return np.asarray(gain * (1 - curve * strength * size) * force)
 
@@ -219,6 +231,7 @@ def low_pass(rng: Random, scale: Scale, joint: int) -> Draft:
     """Draw a sensor that follows with a first-order filter; the strength is its time constant in samples."""
 
     def make(strength: float) -> Part:
+        """Return a filter y_k = (1 - d) F_k + d y_k-1, d = exp(-1 / strength), along each recording."""
         left = float(np.exp(-1 / max(strength, 1e-6)))
         return _sensed({"lag_s": strength * scale.sample_time, "samples": strength},
                        lambda force: np.asarray(lfilter([1 - left], [1, -left], force, axis=1)))  # fmt: skip
@@ -231,9 +244,11 @@ def unsteady(rng: Random, scale: Scale, joint: int) -> Draft:
     each = 1 + rng.uniform(-0.2, 0.2, len(scale.clock))
 
     def make(strength: float) -> Part:
+        """Return a delay of strength samples in the mean, another one in every recording."""
         lag = strength * scale.sample_time
 
         def sense(seen: Readings) -> Readings:
+            """Return the readings with the force of every recording late by its own delay [s]."""
             late = [shifted(seen.time, seen.force[k : k + 1], lag * part) for k, part in enumerate(each)]
             return seen.but(force=np.concatenate(late))
 
@@ -247,6 +262,7 @@ def _weight(rng: Random, scale: Scale, read: Callable[[Readings, Array], Array],
     sign = 1.0 if rng.random() < 0.7 else -1.0
 
     def make(strength: float) -> Part:
+        """Return a weight of strength x largest force [N] that is added to the readings as ``read`` has it."""
         mass = sign * strength * scale.force / scale.branch.gravity
         weight = np.array([0.0, 0.0, -mass * scale.branch.gravity])
         return Part({"mass_kg": mass, **params},
@@ -262,6 +278,7 @@ def other_pose(rng: Random, scale: Scale, joint: int) -> Draft:
     turn = Rotation.from_rotvec(lean * axis)
 
     def read(seen: Readings, weight: Array) -> Array:
+        """Return the weight less the part tared in a leaning pose, as the gripper turns it, [N, T, 3], in N."""
         return weight - tared * turned(seen.turn, turn.apply(weight))
 
     return _weight(rng, scale, read, tared=tared, lean_rad=lean)
@@ -272,6 +289,7 @@ def late_pose(rng: Random, scale: Scale, joint: int) -> Draft:
     tared, lag = float(rng.uniform(0.2, 0.8)), float(rng.uniform(0.01, 0.04)) * scale.duration
 
     def read(seen: Readings, weight: Array) -> Array:
+        """Return the weight less the tared part in the pose of a lag ago, [N, T, 3], in N."""
         return weight - tared * shifted(seen.time, turned(seen.turn, weight), lag)
 
     return _weight(rng, scale, read, tared=tared, lag_s=lag)

@@ -230,6 +230,7 @@ def cubic(rng: Random, scale: Scale, joint: int) -> Draft:
     sign, k, a = _sign(rng, 0.65), scale.branch.stiffness[joint], float(scale.angle[joint])
 
     def make(strength: float) -> Part:
+        """Return a spring with the cubic term s / a^2 [1/rad^2], s the strength with its sign."""
         value = sign * strength / a**2
         return Part({"cubic_radm2": value}, joint, lambda: Elastic(joint, k, cubic=value))
 
@@ -241,6 +242,7 @@ def backlash(rng: Random, scale: Scale, joint: int) -> Draft:
     k, a = scale.branch.stiffness[joint], float(scale.angle[joint])
 
     def make(strength: float) -> Part:
+        """Return play of half width strength x a [rad]."""
         gap = strength * a
         return Part({"gap_rad": gap}, joint, lambda: Elastic(joint, k, gap=gap))
 
@@ -253,6 +255,7 @@ def bilinear(rng: Random, scale: Scale, joint: int) -> Draft:
     side = _sign(rng)
 
     def make(strength: float) -> Part:
+        """Return the stiffness s K about the axis, on one side of rest alone, s the strength with its sign."""
         part = sign * strength
         law = Directed(joint, part * k * np.outer(axis, axis), side * axis)
         return Part({"relative": part, "axis_rad": turn, "side": side}, joint, lambda: law)
@@ -265,6 +268,7 @@ def anisotropic(rng: Random, scale: Scale, joint: int) -> Draft:
     (axis, turn), sign, k = _across(rng), _sign(rng), scale.branch.stiffness[joint]
 
     def make(strength: float) -> Part:
+        """Return the stiffness s K n n^T about the axis n, s the strength with its sign."""
         law = Directed(joint, sign * strength * k * np.outer(axis, axis))
         return Part({"relative": sign * strength, "axis_rad": turn}, joint, lambda: law)
 
@@ -277,6 +281,7 @@ def coupled(rng: Random, scale: Scale, joint: int) -> Draft:
     off = np.outer(axis, [0.0, 0.0, 1.0])
 
     def make(strength: float) -> Part:
+        """Return the stiffness s K (n e_z^T + e_z n^T) of bend and twist, s the strength with its sign."""
         law = Directed(joint, sign * strength * k * (off + off.T))
         return Part({"coupling": sign * strength, "axis_rad": turn}, joint, lambda: law)
 
@@ -289,6 +294,7 @@ def bouc_wen(rng: Random, scale: Scale, joint: int) -> Draft:
     blend, k = float(rng.uniform(0.5, 0.8)), scale.branch.stiffness[joint]
 
     def make(strength: float) -> Part:
+        """Return a hysteretic spring of strength x K, which yields at an angle [rad]."""
         params = {"share": strength, "yield_rad": yields, "beta_share": blend}
         return Part(params, joint, lambda: Hysteresis(joint, strength * k, blend / yields, (1 - blend) / yields))
 
@@ -300,6 +306,7 @@ def creep(rng: Random, scale: Scale, joint: int) -> Draft:
     time, k = float(np.exp(rng.uniform(np.log(0.04), np.log(0.4))) * scale.duration), scale.branch.stiffness[joint]
 
     def make(strength: float) -> Part:
+        """Return a Maxwell element of strength x K and a relaxation time [s]."""
         params = {"share": strength, "relaxation_s": time}
         return Part(params, joint, lambda: Creep(joint, strength * k, time))
 
@@ -311,6 +318,7 @@ def plastic(rng: Random, scale: Scale, joint: int) -> Draft:
     yields, k = float(rng.uniform(0.25, 0.6) * scale.angle[joint]), scale.branch.stiffness[joint]
 
     def make(strength: float) -> Part:
+        """Return a yielding spring K with hardening 1 / strength - 1."""
         hardening = 1 / strength - 1
         params = {"share": strength, "yield_rad": yields, "hardening": hardening}
         return Part(params, joint, lambda: Yielding(joint, k, yields, hardening))
@@ -323,6 +331,7 @@ def rupture(rng: Random, scale: Scale, joint: int) -> Draft:
     limit, k = float(rng.uniform(0.45, 0.85) * scale.angle[joint]), scale.branch.stiffness[joint]
 
     def make(strength: float) -> Part:
+        """Return a spring that loses the strength, a share of K, once its angle passes the limit [rad]."""
         params = {"share": strength, "limit_rad": limit}
         return Part(params, joint, lambda: Rupture(joint, k, limit, strength))
 
@@ -334,6 +343,7 @@ def friction(rng: Random, scale: Scale, joint: int) -> Draft:
     size, bend = scale.torque(joint), float(rng.uniform(0.008, 0.02) * scale.angle[joint])
 
     def make(strength: float) -> Part:
+        """Return dry friction of strength x the joint's largest torque [N m]."""
         params = {"torque_Nm": strength * size, "bend_rad": bend}
         return Part(params, joint, lambda: Bristles(joint, strength * size, bend))
 

@@ -40,6 +40,7 @@ def measured(branch: Branch, rng: np.random.Generator) -> Branch:
     count = len(branch.length)
 
     def read(values: list[float], error: float) -> list[float]:
+        """Return values with relative errors of deviation ``error``, cut at two deviations."""
         return (np.array(values) * (1 + error * np.clip(rng.normal(size=len(values)), -2, 2))).tolist()
 
     length = read(branch.length, LENGTH_ERROR)

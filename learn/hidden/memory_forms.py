@@ -185,6 +185,7 @@ def _friction(
     size, bend = scale.torque(joint), float(rng.uniform(0.01, 0.02) * scale.angle[joint])
 
     def make(strength: float) -> Part:
+        """Return friction of T = strength x the joint's largest torque [N m]."""
         torque = strength * size
         said = {"torque_Nm": torque, "bend_rad": bend, **params}
         return Part(said, joint, lambda: Slider(joint, torque, bend, level, soft))
@@ -202,6 +203,7 @@ def stribeck(rng: Random, scale: Scale, joint: int) -> Draft:
     more, speed = float(rng.uniform(0.2, 0.6)), float(rng.uniform(0.03, 0.15)) * float(scale.rate[joint])
 
     def level(phi: Array, w: Array, turn: Array) -> Array:
+        """Return 1 + s exp(-(|w| / v)^2) for rates w [N, 3], [N, 1]."""
         return np.asarray(1 + more * np.exp(-(w**2).sum(axis=-1, keepdims=True) / speed**2))
 
     return _friction(rng, scale, joint, level, True, more=more, speed_radps=speed)
@@ -212,6 +214,7 @@ def asymmetric(rng: Random, scale: Scale, joint: int) -> Draft:
     axis, more = unit(rng.normal(size=3)), float(rng.uniform(0.15, 0.4))
 
     def level(phi: Array, w: Array, turn: Array) -> Array:
+        """Return 1 + s or 1 - s, [N, 1], by the way that the step turns about the axis."""
         return np.asarray(1 + more * np.sign(turn @ axis)[:, None])
 
     return _friction(rng, scale, joint, level, more=more, axis=axis.tolist())
@@ -222,6 +225,7 @@ def loaded(rng: Random, scale: Scale, joint: int) -> Draft:
     more, a = float(rng.uniform(0.3, 1.0)), float(scale.angle[joint])
 
     def level(phi: Array, w: Array, turn: Array) -> Array:
+        """Return 1 + s |phi| / a for angles phi [N, 3], [N, 1]."""
         return np.asarray(1 + more * np.sqrt((phi**2).sum(axis=-1, keepdims=True)) / a)
 
     return _friction(rng, scale, joint, level, more=more)
@@ -233,6 +237,7 @@ def creeping(rng: Random, scale: Scale, joint: int) -> Draft:
     rate = float(rng.uniform(0.05, 0.2) * scale.rate[joint])
 
     def make(strength: float) -> Part:
+        """Return friction T tanh(w / v), T = strength x the joint's largest torque [N m]."""
         said = {"torque_Nm": strength * size, "bend_rad": bend, "speed_radps": rate}
         return Part(said, joint, lambda: Creeper(joint, strength * size, bend, rate))
 
@@ -248,6 +253,7 @@ def prandtl_ishlinskii(rng: Random, scale: Scale, joint: int) -> Draft:
     yields = most * np.arange(1, 9) / 8
 
     def make(strength: float) -> Part:
+        """Return eight slipping springs that share strength x K evenly."""
         stiff = np.full(8, strength * k / 8)
         return Part({"share": strength, "yield_rad": most}, joint, lambda: Stops(joint, stiff, yields))
 
@@ -263,6 +269,7 @@ def iwan(rng: Random, scale: Scale, joint: int) -> Draft:
     share = share / share.sum()
 
     def make(strength: float) -> Part:
+        """Return ten slipping springs that share strength x K by the density of sliders."""
         params = {"share": strength, "yield_rad": most, "chi": chi}
         return Part(params, joint, lambda: Stops(joint, strength * k * share, yields))
 
@@ -275,6 +282,7 @@ def bouc_wen_power(rng: Random, scale: Scale, joint: int) -> Draft:
     n, blend = float(rng.choice([0.6, 2.0, 3.0])), float(rng.uniform(0.5, 0.9))
 
     def make(strength: float) -> Part:
+        """Return Bouc and Wen's element of stiffness strength x K and exponent n."""
         params = {"share": strength, "yield_rad": yields, "exponent": n, "beta_share": blend}
         return Part(params, joint, lambda: Powered(joint, strength * k, yields, n, blend))
 
@@ -289,6 +297,7 @@ def _creeping(scale: Scale, joint: int, weights: Array, times: Array, **params: 
     k, weights = scale.branch.stiffness[joint], weights / weights.sum()
 
     def make(strength: float) -> Part:
+        """Return Maxwell elements that share strength x K by their weights."""
         return Part({"share": strength, **params}, joint, lambda: Prony(joint, strength * k * weights, times))
 
     return Draft(make, 0.02, 0.4, 3.0)

@@ -138,6 +138,7 @@ def gain_error(rng: Random, scale: Scale, joint: int) -> Draft:
     lean /= np.abs(lean).max()
 
     def make(strength: float) -> Part:
+        """Return gains 1 + strength x lean of displacement and velocity, shape [3]."""
         gain = 1 + strength * lean
         return Part({"gain": gain.tolist()},
                     sense=lambda seen: seen.but(moved=gain * seen.moved, velocity=gain * seen.velocity))  # fmt: skip
@@ -151,6 +152,7 @@ def frame_misalignment(rng: Random, scale: Scale, joint: int) -> Draft:
     across = np.cross(np.eye(3), axis)
 
     def make(strength: float) -> Part:
+        """Return forces seen in a frame turned by the strength [rad] about the axis (Rodrigues)."""
         turn = np.eye(3) + np.sin(strength) * across + (1 - np.cos(strength)) * across @ across
         return Part({"axis": axis.tolist(), "angle_rad": strength},
                     sense=lambda seen: seen.but(force=seen.force @ turn))  # fmt: skip
@@ -164,6 +166,7 @@ def stiffness_drift(rng: Random, scale: Scale, joint: int) -> Draft:
     springs = dict(enumerate(scale.branch.stiffness))
 
     def make(strength: float) -> Part:
+        """Return springs whose K changes by the strength, a share, from the first recording to the last."""
         return Part({"drift": sign * strength}, law=lambda: ChangingSpring(springs, sign * strength, span))
 
     return Draft(make, 0.02, 0.3, 0.7)
@@ -174,6 +177,7 @@ def parametric_stiffness(rng: Random, scale: Scale, joint: int) -> Draft:
     frequency, k = float(rng.uniform(0.3, 1.5)), scale.branch.stiffness[joint]
 
     def make(strength: float) -> Part:
+        """Return a spring whose K oscillates by the strength, a share of it."""
         law = ChangingSpring({joint: k}, swing=strength, frequency=frequency)
         return Part({"amplitude": strength, "frequency_Hz": frequency}, joint, lambda: law)
 
@@ -185,6 +189,7 @@ def cubic_velocity_damping(rng: Random, scale: Scale, joint: int) -> Draft:
     unit_damping = scale.torque(joint) / float(scale.rate[joint]) ** 3
 
     def make(strength: float) -> Part:
+        """Return a damper c |w|^2 w, c = strength x K a / largest rate^3 [N m s^3/rad^3]."""
         value = strength * unit_damping
         most = 1.3 * float(scale.rate[joint])
         return Part({"damping_Nms3prad3": value}, joint, lambda: CubicDamper(joint, value, most))
@@ -198,6 +203,7 @@ def neighbour_stop(rng: Random, scale: Scale, joint: int) -> Draft:
     gap = float(rng.uniform(0.2, 0.5) * scale.moved)
 
     def make(strength: float) -> Part:
+        """Return a neighbour of stiffness strength x force / displacement [N/m], a gap away."""
         k = strength * scale.force / scale.moved
         params = {"stiffness_Npm": k, "gap_m": gap, "direction": direction.tolist()}
         return Part(params, law=lambda: Neighbour(k, direction, gap))
@@ -211,6 +217,7 @@ def tether(rng: Random, scale: Scale, joint: int) -> Draft:
     reach, slack = float(rng.uniform(0.3, 1.2)) * unit(away), float(rng.uniform(0.0, 0.2) * scale.moved)
 
     def make(strength: float) -> Part:
+        """Return a rope of stiffness strength x force / displacement [N/m]."""
         k = strength * scale.force / scale.moved
         params = {"stiffness_Npm": k, "reach_m": reach.tolist(), "slack_m": slack}
         return Part(params, law=lambda: Tether(k, reach, slack))
@@ -223,6 +230,7 @@ def fluid_memory(rng: Random, scale: Scale, joint: int) -> Draft:
     time = float(np.exp(rng.uniform(np.log(0.05), np.log(0.6))))
 
     def make(strength: float) -> Part:
+        """Return a fluid of drag strength x force / speed [N s/m] that is carried along after its time."""
         drag = strength * scale.force / scale.speed
         return Part({"drag_Nspm": drag, "memory_s": time}, law=lambda: FluidMemory(drag, time))
 
@@ -236,6 +244,7 @@ def clock_jitter(rng: Random, scale: Scale, joint: int) -> Draft:
         wander[:, n] = 0.9 * wander[:, n - 1] + np.sqrt(1 - 0.9**2) * rng.normal(size=len(wander))
 
     def make(strength: float) -> Part:
+        """Return readings taken early or late by a wander of strength samples' deviation."""
         return Part({"deviation_samples": strength}, sense=lambda seen: _resampled(seen, strength * wander))
 
     return Draft(make, 0.1, 1.0, 8.0)
@@ -256,6 +265,7 @@ def displacement_saturation(rng: Random, scale: Scale, joint: int) -> Draft:
     """Draw a displacement sensor that ends before the motion does; the strength is the share that it lacks."""
 
     def make(strength: float) -> Part:
+        """Return displacements cut at (1 - strength) of the largest one [m]."""
         limit = (1 - strength) * scale.moved
         return Part({"limit_m": limit}, sense=lambda seen: seen.but(moved=np.clip(seen.moved, -limit, limit)))
 
@@ -338,6 +348,7 @@ def hanging_mass(rng: Random, scale: Scale, joint: int) -> Draft:
     )
 
     def make(strength: float) -> Part:
+        """Return a swinging mass of strength x the branch's mass [kg]."""
         mass = strength * whole
         params = {"mass_kg": mass, "frequency_Hz": frequency, "damping_ratio": ratio}
         return Part(params, law=lambda: HangingMass(mass, frequency, ratio))
@@ -350,6 +361,7 @@ def place_damping(rng: Random, scale: Scale, joint: int) -> Draft:
     size, mount = scale.torque(joint) / float(scale.angle[joint] * scale.rate[joint]), 4 * scale.branch.stiffness[joint]
 
     def make(strength: float) -> Part:
+        """Return a damper c |phi| w, c = strength x K / largest rate [N m s/rad^2]."""
         value = strength * size
         return Part({"damping_Nmsprad2": value}, joint, lambda: PlaceDamper(joint, value, mount))
 
@@ -362,6 +374,7 @@ def cross_talk(rng: Random, scale: Scale, joint: int) -> Draft:
     leak /= np.abs(leak).max()
 
     def make(strength: float) -> Part:
+        """Return forces mixed by 1 + strength x leak, shape [3, 3]."""
         mixed = np.eye(3) + strength * leak
         return Part({"leak": (strength * leak).tolist()},
                     sense=lambda seen: seen.but(force=seen.force @ mixed.T))  # fmt: skip
@@ -375,7 +388,10 @@ def dropouts(rng: Random, scale: Scale, joint: int) -> Draft:
     start, part = rng.uniform(0, 1, (len(scale.clock), count)), rng.uniform(0.3, 1.0, (len(scale.clock), count))
 
     def make(strength: float) -> Part:
+        """Return a camera whose spells last up to the strength, a share of the recording."""
+
         def sense(seen: Readings) -> Readings:
+            """Return the readings with the last displacement and velocity repeated through every spell."""
             now = np.arange(len(seen.time))
             since = now[:, None] / len(now) - start[:, None]
             stale = ((since > 0) & (since < strength * part[:, None])).any(axis=-1)

@@ -15,6 +15,7 @@ def force_bias(rng: Random, scale: Scale, joint: int) -> Draft:
     direction = unit(rng.normal(size=3))
 
     def make(strength: float) -> Part:
+        """Return an offset of strength x the largest force [N]."""
         bias = strength * scale.force * direction
         return Part({"force_N": bias.tolist()}, sense=lambda seen: seen.but(force=seen.force + bias))
 
@@ -26,6 +27,7 @@ def force_scale(rng: Random, scale: Scale, joint: int) -> Draft:
     sign = 1.0 if rng.random() < 0.5 else -1.0
 
     def make(strength: float) -> Part:
+        """Return a gain exp(+- strength)."""
         gain = float(np.exp(sign * strength))
         return Part({"scale": gain}, sense=lambda seen: seen.but(force=gain * seen.force))
 
@@ -36,9 +38,11 @@ def time_delay(rng: Random, scale: Scale, joint: int) -> Draft:
     """Draw a late recording; the strength is the delay in samples."""
 
     def make(strength: float) -> Part:
+        """Return a force that is late by strength samples."""
         lag = strength * scale.sample_time
 
         def sense(seen: Readings) -> Readings:
+            """Return the readings with the force as it was a lag [s] before."""
             return seen.but(force=shifted(seen.time, seen.force, lag))
 
         return Part({"lag_s": lag, "samples": strength}, sense=sense)
@@ -63,10 +67,12 @@ def gravity_comp_error(rng: Random, scale: Scale, joint: int) -> Draft:
     sign = 1.0 if rng.random() < 0.7 else -1.0
 
     def make(strength: float) -> Part:
+        """Return a weight of strength x the largest force [N], tared in part at rest."""
         mass = sign * strength * scale.force / scale.branch.gravity
         weight = np.array([0.0, 0.0, -mass * scale.branch.gravity])
 
         def sense(seen: Readings) -> Readings:
+            """Return the readings plus the weight, less the tared part as the gripper turns it [N]."""
             return seen.but(force=seen.force + weight - tared * turned(seen.turn, weight))
 
         return Part({"mass_kg": mass, "tared": tared}, sense=sense)

@@ -158,6 +158,7 @@ def _sensitivity(branch: Branch, force: Array, rate: float, change: float = 0.05
     columns = np.eye(2 * len(branch.length)) * change
 
     def moved(logs: Array) -> Array:
+        """Return the displacement [m] under the known forces with springs scaled by ``logs``, shape [N T 3]."""
         return drive(scaled(branch, logs), force, rate, sub=1, dt=SIZING_STEP).moved.ravel()
 
     base = moved(0 * columns[0])

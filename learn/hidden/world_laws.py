@@ -86,6 +86,7 @@ def tip_mass(rng: Random, scale: Scale, joint: int) -> Draft:
     whole = float(scale.branch.mass().sum())
 
     def make(strength: float) -> Part:
+        """Return a ball of strength x the branch's mass [kg]."""
         return Part({"mass_kg": strength * whole}, tip_mass=strength * whole)
 
     return Draft(make, 0.01, 0.1, 2.0)
@@ -96,6 +97,7 @@ def base_compliance(rng: Random, scale: Scale, joint: int) -> Draft:
     first, mass, time = scale.branch.stiffness[0], float(rng.uniform(0.3, 1.2)), float(rng.uniform(0.01, 0.03))
 
     def make(strength: float) -> Part:
+        """Return a trunk on a ball joint of stiffness K_1 / strength [N m/rad]."""
         k = first / strength
         params = {"stiffness_Nmprad": k, "compliance_radpNm": 1 / k, "relaxation_s": time, "trunk_mass_kg": mass}
         return Part(params, trunk=Trunk(k, k * time, mass))
@@ -116,6 +118,7 @@ def steady_wind(rng: Random, scale: Scale, joint: int) -> Draft:
     direction = unit(rng.normal(size=3) * [1.0, 1.0, 0.4])
 
     def make(strength: float) -> Part:
+        """Return air of velocity sqrt(2 strength / rho) [m/s] along the direction."""
         velocity = np.sqrt(2 * strength / AIR) * direction
         return Part({"velocity_mps": velocity.tolist(), "pressure_Pa": strength}, wind=velocity)
 
@@ -133,6 +136,7 @@ def wind_gust(rng: Random, scale: Scale, joint: int) -> Draft:
     )
 
     def make(strength: float) -> Part:
+        """Return a gust whose largest speed is sqrt(2 strength / rho) [m/s]."""
         speed = float(np.sqrt(2 * strength / AIR))
         params = {
             "speed_mps": speed, "pressure_Pa": strength, "direction_rad": float(turn), "frequency_Hz": frequency,
@@ -154,6 +158,7 @@ def grasp_slip(rng: Random, scale: Scale, joint: int) -> Draft:
     room = (0.9 * scale.branch.grasp_distance, 0.98 * end - scale.branch.grasp_distance)
 
     def make(strength: float) -> Part:
+        """Return a slide of mobility strength x length / (force x duration) [m/(N s)], negative towards the base."""
         mobility = way * strength * end / (scale.force * scale.duration)
         params = {"mobility_mpNs": mobility, "limit_N": limit, "onset_N": onset}
         return Part(params, law=lambda: Slip(mobility, limit, onset, room))

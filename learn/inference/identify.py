@@ -129,6 +129,7 @@ def _pool(case: BranchCase, sigma: Array, measured: Array) -> Array:
     axes = np.array([1.0, 0.0 if case.planar else 1.0, 1.0])
 
     def rms(squares: Array) -> float:
+        """Return the root of the mean of squares [3] over the axes that count."""
         return float(np.sqrt(np.sum(axes * squares) / axes.sum()))
 
     return np.asarray(axes * max(rms(sigma**2), FINEST * rms(np.mean(measured**2, axis=0))))

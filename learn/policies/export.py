@@ -94,6 +94,7 @@ def _torchscript(network: MLPModel, path: Path) -> Callable[[Array], Array]:
         read = torch.jit.load(str(path), map_location="cpu")
 
     def act(observations: Array) -> Array:
+        """Return the actions of the network as it was read again, [N, actions]."""
         with torch.no_grad():
             actions: Array = read(torch.as_tensor(observations)).numpy()
         return actions
@@ -118,6 +119,7 @@ def _onnx(network: MLPModel, path: Path) -> Callable[[Array], Array]:
     read = ReferenceEvaluator(str(path))
 
     def act(observations: Array) -> Array:
+        """Return the actions of the network as ONNX's evaluator finds them, [N, actions]."""
         (actions,) = read.run(["action"], {"observation": observations})
         return np.asarray(actions)
 

@@ -36,6 +36,7 @@ class HandKinematics:
         axis = quat_rotate(turn, arm.tree.axis)
 
         def there(values: Any) -> torch.Tensor:
+            """Return numbers as float32 on the device."""
             return torch.as_tensor(np.asarray(values), dtype=torch.float32, device=device)
 
         self._point, self._axis, self._end = there(point), there(axis), there(end)

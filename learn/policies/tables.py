@@ -18,6 +18,7 @@ def lines(cells: Sequence[Sequence[str]]) -> str:
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
 
     def line(row: Sequence[str]) -> str:
+        """Return a row of cells, padded to the columns' widths, between bars."""
         first, *others = zip(row, widths, strict=True)
         return "| " + " | ".join([first[0].ljust(first[1]), *(c.rjust(w) for c, w in others)]) + " |"
 

@@ -290,6 +290,7 @@ def _source() -> dict[str, Any]:
     here = Path(__file__).resolve().parents[2]
 
     def git(*arguments: str) -> str:
+        """Return what git prints about this repository; raise where it fails."""
         command = ["git", "-C", str(here), *arguments]
         done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, check=True)
         return done.stdout.strip()

@@ -215,6 +215,7 @@ def _geometry_regressor() -> Regressor:
     regressor = Regressor((0, 0, 0, 0), 12, generator)
 
     def loss() -> torch.Tensor:
+        """Return the logistic loss: mean softplus(-logit) of grown pairs plus mean softplus(logit) of others."""
         softplus = torch.nn.functional.softplus
         # each negative counts 1 / NEGATIVES, so that the logit is the log density against the uniform one
         return softplus(-regressor(grown)).mean() + softplus(regressor(other)).mean()
@@ -247,6 +248,7 @@ def _train(regressor: Regressor, loss: Callable[[], torch.Tensor]) -> Regressor:
     optimiser = torch.optim.LBFGS(regressor.parameters(), max_iter=150, history_size=20, line_search_fn="strong_wolfe")
 
     def closure() -> torch.Tensor:
+        """Return the loss with its gradient in the regressor's parameters, as LBFGS asks for it."""
         optimiser.zero_grad()
         value = loss()
         value.backward()

@@ -175,9 +175,11 @@ class Hand:
         let_go = push.free_from if self.releases else 1.0
 
         def course(time: float) -> float:
+            """Return the share of the largest force at a time [s] on the robot's clock."""
             return float(push.course(np.array(np.clip((time - begin) / duration, 0.0, 1.0))))
 
         def ended(state: State) -> bool:
+            """Return whether it is time to let go; raise where the recording could not be written."""
             raw.check()
             return (state.time - begin) / duration >= let_go
 

@@ -126,6 +126,7 @@ def _since(grid: Array, time: Array, values: Array, step: float) -> Array:
     path = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time))])
 
     def at(t: Array) -> Array:
+        """Return the integral over time of what is held, up to times t [s]."""
         out: Array = np.interp(t, time, path) + np.maximum(t - time[-1], 0.0) * values[-1]
         return out
 
@@ -137,6 +138,7 @@ def _meta(
     called: str, joints: list[str], weight: Weight, files: list[str], torques: bool, commands: bool
 ) -> dict[str, Any]:
     def of(form: str, more: dict[str, Any]) -> list[dict[str, Any]]:
+        """Return one entry a joint, its column named by ``form`` and its number from 1 on."""
         return [{"joint": n, "column": form.format(j + 1), "scale": 1.0, **more} for j, n in enumerate(joints)]
 
     measured = of("tau{}_Nm", {"hold": "linear"}) if torques else None

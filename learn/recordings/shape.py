@@ -97,6 +97,7 @@ def shape_of(given: Given, ask: Asker) -> Shape:
 
 def _values(texts: tuple[str, ...], ask: Asker, flag: str, text: str, allowed: str) -> Array:
     def parse(line: str) -> tuple[str, ...]:
+        """Split an answer into lengths with units; raise `InputError` where one is none."""
         parts = tuple(line.split())
         for part in parts or ("",):
             measure(part, "position", SOURCE, flag)
@@ -181,6 +182,7 @@ def _angles(texts: tuple[str, ...], count: int, ask: Asker, flag: str, text: str
     question = Question(flag, text, "no direction of the branch", f"{allowed}: 0 is level, 90 upright, -90 hangs")
 
     def parse(line: str) -> tuple[str, ...]:
+        """Split an answer into angles with units; raise `InputError` where one is none."""
         parts = tuple(line.split()) or ("",)
         for part in parts:
             measure(part, "angle", SOURCE, flag)

@@ -271,6 +271,7 @@ class EquationError(Rollout):
         laws = self.simulator._launcher.prepare(kernel, before, [spacing, self._output.kernel])
 
         def both() -> None:
+            """Replay the plain efforts, then take off what the laws at joints give."""
             replay()
             laws()
 

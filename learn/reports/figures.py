@@ -39,6 +39,7 @@ def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
 
     @wraps(draw)
     def drawn(*args: _P.args, **kwargs: _P.kwargs) -> Figure:
+        """Draw the figure with this module's style."""
         with matplotlib.rc_context(_STYLE):
             return draw(*args, **kwargs)
 

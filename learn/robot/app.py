@@ -183,6 +183,7 @@ def _refused(reply: Reply) -> JSONResponse:
 
 async def _body(request: Request) -> bytes:
     async def collect() -> bytes:
+        """Return the request's bytes; raise `UnreadableError` as soon as there are more than `LARGEST`."""
         data = b""
         async for part in request.stream():
             data += part

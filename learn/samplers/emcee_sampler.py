@@ -36,6 +36,7 @@ class Emcee(Population):
         import emcee
 
         def log_density(x: Array) -> Array:
+            """Return the log density of positions [P, D], shape [P], -inf where it is not finite."""
             value = density.log_density(torch.as_tensor(x).to(self.particles)).cpu().numpy()
             return np.where(np.isfinite(value), value, -np.inf)
 

@@ -36,6 +36,7 @@ def _own(module: str, name: str) -> Callable[..., Sampler]:
     """Return a class of this folder that is imported when it is called."""
 
     def make(*particles: Any, **options: Any) -> Sampler:
+        """Import the class and make a sampler of it."""
         made: Sampler = getattr(import_module(f".{module}", __package__), name)(*particles, **options)
         return made
 

@@ -167,6 +167,7 @@ class BranchSystem:
         n, links = self.branch.num_segments, model.links
 
         def fixed(array: Array) -> torch.Tensor:
+            """Return the first n rows of an array as a tensor where the unknowns are."""
             return torch.as_tensor(array[:n], device=share.device)
 
         mass, frame = fixed(self.tree.mass[self.first :]) * share, fixed(links.frame[self.first :])

@@ -153,6 +153,7 @@ class JointSystem:
         assert gravity is not None
 
         def of(name: str, known: float | None) -> torch.Tensor:
+            """Return a number of the joint, [sets]: its column of unknowns, or the known value, or 0."""
             at = column.get((i, name))
             return values[:, at] if at is not None else torch.full_like(values[:, 0], known or 0.0)
 

@@ -69,10 +69,12 @@ class _Standardised(torch.nn.Module):
         self.layers = layers
 
     def logit(self, x: torch.Tensor) -> torch.Tensor:
+        """Return the log odds of contact of rows [N, F], [N]; inputs are standardised and cut at `CUT` deviations."""
         out: torch.Tensor = self.layers(((x - self.middle) / self.width).clamp(-CUT, CUT))[:, 0]
         return out
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return the probability of contact of rows [N, F], [N]."""
         return torch.sigmoid(self.logit(x))
 
 

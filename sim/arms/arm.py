@@ -127,6 +127,7 @@ def _check_chain(tree: Tree, source: str | Path) -> None:
 
 def _check_joint(arm: Arm, i: int) -> None:
     def need(ok: bool | np.bool_, found: str, allowed: str) -> None:
+        """Raise `InputError` that names the joint's link unless ``ok``."""
         if not ok:
             raise InputError(arm.name, f"joint of link {arm.tree.link_name[i]}", found, allowed)
 
@@ -177,6 +178,7 @@ def arm_capsules(arm: Arm, q: Array) -> tuple[Array, Array]:
     link = tree.shape_link
 
     def placed(p: Array) -> Array:
+        """Return points of the links' capsules, given in their bodies' frames, in world axes [m], [C, 3]."""
         return points[link] + quat_rotate(turn[link], p - tree.anchor[link])
 
     ends = ((arm.base_start, tree.shape_start), (arm.base_end, tree.shape_end))

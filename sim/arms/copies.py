@@ -102,6 +102,7 @@ class WorldCopies:
         slot[at], place[at] = theirs.link_slot[link], theirs.link_place[link]
 
         def there(values: IntArray) -> wp.array:
+            """Return integers as an int32 array on the simulator's device."""
             return wp.array(np.ascontiguousarray(values, np.int32), dtype=int, device=mine.device)
 
         return (there(slot), there(place)), (there(slot[:, :1]), there(place[:, :1]))

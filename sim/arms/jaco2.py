@@ -187,6 +187,7 @@ def _hand() -> MassProperties:
 
 def _hand_shapes() -> list[_Capsule]:
     def placed(at: tuple[Array, Array], point: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return a finger's point [m] in the hand's frame; the finger's pose is its place and its turn."""
         x, y, z = at[0] + quat_rotate(at[1], np.array(point))
         return float(x), float(y), float(z)
 

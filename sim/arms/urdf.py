@@ -390,6 +390,7 @@ def _without_swallowed(capsules: list[_Capsule]) -> list[_Capsule]:
     """Drop spheres inside a capsule of the same link: the round ends that files add to a cylinder."""
 
     def swallowed(ball: _Capsule, other: _Capsule) -> bool:
+        """Return whether a sphere lies inside a capsule, to rounding."""
         along = other[1] - other[0]
         length = float(along @ along)
         if length == 0 or np.any(ball[0] != ball[1]):

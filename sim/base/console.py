@@ -56,6 +56,7 @@ def first_ctrl_c_told() -> Iterator[Callable[[], bool]]:
     pressed: list[int] = []
 
     def note(number: int, _frame: object) -> None:
+        """Note that Ctrl-C was pressed, and let the next one interrupt as before."""
         pressed.append(number)
         signal.signal(signal.SIGINT, before)
 
@@ -78,6 +79,7 @@ def dropped_ctrl_c_raised_again() -> Iterator[None]:
     before = sys.unraisablehook
 
     def hook(dropped: sys.UnraisableHookArgs) -> None:
+        """Pass on what Python dropped, but send Ctrl-C again 10 ms later."""
         if not issubclass(dropped.exc_type, KeyboardInterrupt):
             return before(dropped)
         again = threading.Timer(0.01, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
@@ -155,7 +157,10 @@ def _drawn(totals: Mapping[str, int | None], console: Any) -> Iterator[Shown]:
     from rich.text import Text
 
     class Count(MofNCompleteColumn):
+        """How many of a stage's items are done; nothing where their number is not known."""
+
         def render(self, task: Task) -> Text:
+            """Return the count as text, empty for a stage without a total."""
             return Text() if task.total is None else super().render(task)
 
     columns = [TextColumn("{task.description}"), BarColumn(), Count(), TimeElapsedColumn()]
@@ -165,6 +170,7 @@ def _drawn(totals: Mapping[str, int | None], console: Any) -> Iterator[Shown]:
         current: list[str] = []
 
         def advance(stage: str, count: int) -> None:
+            """Add to a stage's bar; stop the clock of the stage before and start its own when it begins."""
             if current != [stage]:
                 for name in current:
                     progress.stop_task(tasks[name])
@@ -173,6 +179,7 @@ def _drawn(totals: Mapping[str, int | None], console: Any) -> Iterator[Shown]:
             progress.update(tasks[stage], advance=count, visible=True)
 
         def listen(text: str | None) -> None:
+            """Show what happens meanwhile as a line of its own, or take that away."""
             progress.reset(aside, start=text is not None, description=text or "", visible=text is not None)
 
         yield advance, listen
@@ -189,15 +196,18 @@ def _written(totals: Mapping[str, int | None]) -> Iterator[Shown]:
     ended = threading.Event()
 
     def write(text: str) -> None:
+        """Write a line with the seconds since the beginning."""
         last[0] = time.monotonic()
         print(f"bough: {last[0] - begun:.0f} s: {text}", file=sys.stderr, flush=True)
 
     def tell() -> None:
+        """Write the stage under way and how far it is."""
         stage, told[0] = now[0], True
         of = "" if totals[stage] is None else f" of {totals[stage]}"
         write(f"{stage}, {done[stage]}{of}" if done[stage] else stage)
 
     def advance(stage: str, count: int) -> None:
+        """Add to a stage's count; tell when `EVERY` seconds have passed or a stage that was told gives way."""
         changed, now[0] = stage != now[0], stage
         done[stage] += count
         if time.monotonic() - last[0] >= EVERY or (changed and told[0]):
@@ -207,11 +217,13 @@ def _written(totals: Mapping[str, int | None]) -> Iterator[Shown]:
             now[0] = names[at]
 
     def beat() -> None:
+        """Write a line after every `EVERY` seconds of silence, until the end."""
         while not ended.wait(EVERY or 1.0):
             if time.monotonic() - last[0] >= 0.99 * EVERY:
                 write(aside[0]) if aside else tell()
 
     def listen(text: str | None) -> None:
+        """Write what happens meanwhile after `SOON` seconds, unless it is over before."""
         aside[:] = [] if text is None else [text]
         while waiting:
             waiting.pop().cancel()

@@ -150,6 +150,7 @@ class _Loader(yaml.SafeLoader):
     """YAML with each key once and plain, integers of 64 bits, and 1e-3 read as a number, as YAML 1.2 does."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Return a mapping; raise where a key is given twice or is no plain value."""
         seen: set[str] = set()
         for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
             if not isinstance(key, yaml.ScalarNode):
@@ -161,6 +162,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        """Return an integer; raise where it does not fit 64 bits or is too long to be read."""
         written = str(self.construct_scalar(node))
         if len(written) > _DIGITS or abs(value := int(super().construct_yaml_int(node))) >= 2**63:
             found = f"an integer of {len(written)} characters"

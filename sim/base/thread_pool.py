@@ -165,6 +165,7 @@ class _Pool:
                 self._asleep[row] = False
 
     def run(self, jobs: Sequence[Job]) -> None:
+        """Run jobs at once and return when all are done; one after the other where the pool is busy or too small."""
         if len(jobs) > len(self._awake) + 1 or not self._busy.acquire(blocking=False):
             for job in jobs:
                 job()

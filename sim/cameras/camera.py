@@ -110,6 +110,7 @@ class Cameras:
         """Return the kernel's solids, and the tree of their boxes, which lives as long as somebody holds it."""
 
         def there(values: Any, kind: type) -> wp.array:
+            """Return float32 values as an array of a Warp type on the device."""
             return wp.array(np.ascontiguousarray(values, np.float32), dtype=kind, device=self._device)
 
         out, s = raytrace.Solids(), world.solids

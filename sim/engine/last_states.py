@@ -87,6 +87,7 @@ class LastStates:
         order = torch.argsort(ticks)[int((ticks < 0).sum()) :]
 
         def last(ring: wp.array) -> Array:
+            """Return the world's own entries of a ring, oldest first, [states, links, components]."""
             kept: torch.Tensor = wp.to_torch(ring).cpu()
             return np.asarray(kept.reshape(self._size, m.groups, *kept.shape[1:])[order, group][:, place, :, lane])
 

@@ -92,6 +92,7 @@ def link_parameters(trees: Sequence[Tree]) -> Links:
     """Return the parameters of all links of all trees."""
 
     def stacked(name: str) -> Array:
+        """Return a parameter of all trees' links, one tree after the other."""
         return np.concatenate([getattr(t, name) for t in trees])
 
     counts = [t.num_links for t in trees]

@@ -222,6 +222,7 @@ class Simulator:
         graph, load = self._graph(count), self._load
 
         def replay() -> None:  # keeps this simulator, on whose memory the graph works
+            """Launch the graph, recorded anew if the load is another; refresh first where parameters are stale."""
             nonlocal graph, load
             if self._stale:
                 self.refresh()

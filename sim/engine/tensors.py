@@ -241,6 +241,7 @@ class WorldTensors:
             ]
 
         def record(index: wp.array, mask: wp.array, values: wp.array) -> list[Any]:
+            """Record the launch that writes ``values`` into the worlds of ``index`` that are masked."""
             inputs = [self._slots, index, mask, values, *after]
             dim = (len(index), self._longest)
             return [recorded(kernel, dim, inputs, m.device)]

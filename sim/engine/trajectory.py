@@ -91,6 +91,7 @@ def record(
     pos, quat = np.empty((*shape, 3), kind), np.empty((*shape, 4), kind)
 
     def look(k: int) -> None:
+        """Note positions [m] and quaternions of the bodies after k steps."""
         position, rotation = simulator.observe()
         pos[k], quat[k] = position.cpu().numpy()[:, bodies], rotation.cpu().numpy()[:, bodies]
 

@@ -214,6 +214,7 @@ def _places(source: Source, spec: Any) -> Where:
     joints, bodies = {j.id: j for j in spec.joints}, {b.id: b for b in spec.bodies}
 
     def where(kind: str, number: int) -> Place:
+        """Return file and line of joint or body ``number``, or of the section ``kind``."""
         items = {"joint": joints, "body": bodies}.get(kind)
         section = source.root.find(kind) or source.root
         at = section if items is None else source.element(line_of(items[number]))

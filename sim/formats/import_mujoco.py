@@ -115,6 +115,7 @@ def _places(model: Any, name: str) -> Any:
     """Return what names joints, bodies and sections, for messages."""
 
     def where(kind: str, number: int) -> Place:
+        """Return the model's name, and kind and name of an object, or its number if it has none."""
         if kind not in ("joint", "body", "equality", "tendon", "actuator"):
             return name, kind
         own = getattr(model, kind)(number).name

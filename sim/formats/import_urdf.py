@@ -196,9 +196,11 @@ def _through_newton(path: Path, name: str) -> Tree:
         """A builder that fixes what floats, which `_with_slides` lets float again, and lets no joint copy another."""
 
         def add_joint_free(self, *args: Any, **given: Any) -> int:
+            """Fix the body instead of letting it float."""
             return self._fixed(**given)
 
         def add_joint_d6(self, *args: Any, **given: Any) -> int:
+            """Fix the body instead of letting it move in six degrees of freedom."""
             return self._fixed(**given)
 
         def set_joint_mimic(self, *args: Any, **given: Any) -> None:

@@ -151,6 +151,7 @@ def read_xml(path: str | Path) -> Element:
     stack = [root]
 
     def start(tag: str, attrib: dict[str, str]) -> None:
+        """Put a new element under the one that is open, and open it; raise where that is deeper than `DEEPEST`."""
         if len(stack) > DEEPEST:
             found = f"elements nested more than {DEEPEST} deep"
             raise InputError(file, f"line {parser.CurrentLineNumber}", found, f"{DEEPEST} at most")

@@ -154,6 +154,7 @@ def trace(
     bands = np.array_split(np.arange(height), 8 * workers if where.is_cpu else 1)
 
     def band_radiance(rows: IntArray) -> Array:
+        """Trace a band of rows and return its radiance, [rows, width, 3]."""
         out = wp.empty((len(rows), width), dtype=wp.vec3, device=where)
         inputs = [there, shining, camera, height, int(rows[0]), samples]
         wp.launch(raytrace.trace, dim=out.shape, inputs=inputs, outputs=[out], device=where)
@@ -169,6 +170,7 @@ def _solids(
     """Return the kernel's solids, and the trees that it names by number: they live as long as somebody holds them."""
 
     def there(values: Array, kind: type) -> wp.array:
+        """Return float32 values as an array of a Warp type on the device."""
         return wp.array(np.ascontiguousarray(values, np.float32), dtype=kind, device=device)
 
     solids, out = solids.cones_first(), raytrace.Solids()

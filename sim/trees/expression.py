@@ -176,6 +176,7 @@ def _apply(function: Callable[..., float], operands: list[Evaluator], position: 
     """Return the evaluator of ``function`` of the operands; its failures carry the position of the operator."""
 
     def evaluate(environment: Mapping[str, float]) -> float:
+        """Return the function's value of the operands; raise `ExpressionError` where it is not a finite number."""
         try:
             value = float(function(*[operand(environment) for operand in operands]))
         except ZeroDivisionError:

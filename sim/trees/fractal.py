@@ -71,9 +71,11 @@ def grow_fractal(
     rng = np.random.default_rng(seed)
 
     def vary(count: int) -> np.ndarray:
+        """Draw factors 1 + noise x N(0, 1), none below `SMALLEST_FACTOR`."""
         return np.maximum(1.0 + noise * rng.standard_normal(count), SMALLEST_FACTOR)
 
     def branch(level: int, long: float, thick: float) -> list[Module]:
+        """Return the modules of a branch of this length and radius [m] and of all that it bears."""
         out: list[Module] = [("!", (2.0 * thick,)), ("F", (long,))]
         if level + 1 == levels:
             return out

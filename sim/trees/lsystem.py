@@ -237,6 +237,7 @@ class _StrictLoader(yaml.SafeLoader):
     """Safe YAML that refuses a key given twice instead of keeping the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        """Return a mapping; raise where a key is given twice."""
         seen: list[object] = []
         for key, _ in node.value:
             if key.value in seen:

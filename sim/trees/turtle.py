@@ -114,6 +114,7 @@ class _Turtle:
         self.drawn: list[tuple[_Vector, _Vector, _Quaternion, float, int, int]] = []
 
     def obey(self, index: int, symbol: str, parameters: tuple[float, ...]) -> None:
+        """Carry out one module: turn, draw, set the width, or save or restore the state; ignore other symbols."""
         state = self.state
         if symbol in _TURNS:
             axis, sign = _TURNS[symbol]
@@ -137,6 +138,7 @@ class _Turtle:
             state.rotation = _levelled(state.rotation)
 
     def segments(self) -> Segments:
+        """Return what was drawn; raise where a bracket is still open or nothing was drawn."""
         if self.stack:
             raise InputError(self.source, "the end", f"{len(self.stack)} brackets '[' still open", "balanced brackets")
         if not self.drawn:

@@ -62,6 +62,7 @@ class Pull:
 
     def _listener(self, members: Any) -> Any:
         async def listen(event: Any) -> None:  # async: starts and ends come in their order
+            """Take hold of the capsule where a drag starts, follow the mouse, and let go at the end."""
             if event.phase == "end" or event.instance_index is None:
                 self._held = None
             elif event.phase == "start" or self._held is None:

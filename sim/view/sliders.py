@@ -106,6 +106,7 @@ def add_sliders(page: Page, setting: Setting, laws: Sequence[str] = LAWS) -> Sli
     out, gui = Sliders((*WIND, *laws)), page.server.gui
 
     def slider(key: str, label: str, low: float, high: float, step: float, start: float) -> None:
+        """Add a slider from ``low`` to ``high`` and make its value that of ``key``."""
         handle = gui.add_slider(label, low, high, step, start)
         out._value[key] = lambda: handle.value
 

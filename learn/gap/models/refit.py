@@ -231,6 +231,7 @@ def filled(normal: torch.Tensor) -> torch.Tensor:
 
 def _where(better: torch.Tensor, trial: Fits, fits: Fits) -> Fits:
     def pick(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+        """Return the rows of ``a`` of the models that got better, those of ``b`` of the others."""
         return torch.where(better.view(-1, *[1] * (a.dim() - 1)), a, b)
 
     batch = Batch(pick(trial.batch.free, fits.batch.free), fits.batch.active, pick(trial.batch.start, fits.batch.start),

@@ -247,6 +247,7 @@ def _replayed(rig: Rig, motion: Motion, effort: Array, names: Sequence[str], unk
     step = 1.0 / rig.rate
 
     def recorded(time: float, q: Array, v: Array) -> Array:
+        """Return the recorded efforts at a time [s], straight between samples, [R, n]."""
         k = min(int(time / step), len(effort) - 2)
         share = min(time / step - k, 1.0)
         return (1.0 - share) * effort[k] + share * effort[k + 1]

@@ -73,10 +73,12 @@ class Rig:
         size, frequency, phase = (np.tile(x, (copies, 1, 1)) for x in self.tones)
 
         def wanted(time: float) -> Array:
+            """Return the sum of the tones at a time [s], [R, n]: efforts, or the angles to be tracked."""
             out: Array = (size * np.sin(2 * np.pi * frequency * time + phase)).sum(2)
             return out
 
         def tracked(time: float, q: Array, v: Array) -> Array:
+            """Return the controller's efforts P (wanted - q) - D v + bias(q), [R, n]."""
             assert self.control is not None
             _, bias = self.chain.equations(q, 0.0 * v)
             return self.control[0] * (wanted(time) - q) - self.control[1] * v + bias

@@ -172,6 +172,7 @@ def _walk(target: Target, start: torch.Tensor, length: int, seed: int) -> tuple[
     import emcee
 
     def log_density(x: Array) -> Array:
+        """Return the log density of positions [P, D], shape [P], -inf where it is not finite."""
         value = target.log_density(torch.as_tensor(x).to(start)).cpu().numpy()
         return np.where(np.isfinite(value), value, -np.inf)
 
@@ -194,6 +195,7 @@ def _reference(flat: torch.Tensor, weight: torch.Tensor, worst: float, particles
     generator = torch.Generator().manual_seed(seed)
 
     def some(count: int) -> torch.Tensor:
+        """Resample so many draws with replacement, in proportion to their weights, [count, D]."""
         return flat[torch.multinomial(weight.cpu(), count, replacement=True, generator=generator).to(flat.device)]
 
     draws = some(MOST_PAIRED)
@@ -239,6 +241,7 @@ class _Start:
     calls: int
 
     def density(self, target: Target) -> Whitened:
+        """Return the target's density in the coordinates that methods work in."""
         return Whitened(target, self.centre, self.precision)
 
 

@@ -173,6 +173,7 @@ def gains(scores: dict[Variant, list[list[Scores]]], marks: Sequence[int]) -> li
     """Return the ratios without over with the prior, seed by seed, for every box, eta and mark."""
 
     def ratio(sigma: float, eta: float, m: int, name: str) -> np.ndarray:
+        """Return a score without the prior over the same with it, at mark m, one value a seed."""
         pairs = zip(scores[sigma, None], scores[sigma, eta], strict=True)
         return np.array([getattr(a[m], name) / getattr(b[m], name) for a, b in pairs])
 

@@ -440,6 +440,7 @@ def _joint_figure(found: Findings) -> Figure:
 
 def _sweep_figure(found: Findings) -> Figure:
     def by_branch(value: str) -> np.ndarray:
+        """Return a value of all problems, shape [branches, temperatures]."""
         return np.array([[getattr(p, value) for p in found.at(kt)] for kt in TEMPERATURES]).T
 
     without = np.array([[p.without.scores.width for p in found.at(kt)] for kt in TEMPERATURES]).T
@@ -460,6 +461,7 @@ def _study_figure(studies: Sequence[Study], shown: Sequence[int], unit: str) -> 
 
 def _cost_figure(found: Findings) -> Figure:
     def drawn(costs: Sequence[cost.Cost]) -> tuple[Array, Array, Array]:
+        """Return sizes, seconds and rollouts of costs, [N] each."""
         return (
             np.array([c.size for c in costs]), np.array([c.seconds for c in costs]),
             np.array([c.rollouts for c in costs]),

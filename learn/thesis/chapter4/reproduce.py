@@ -44,6 +44,7 @@ def find(out: Path, options: Options, registry: TaskRegistry, advance: Advance =
     folders = {run: RunFolder(runs_under(out) / run.name) for run in options.runs}
 
     def tell(_found: Findings, _folders: _Folders, _registry: TaskRegistry, count: _Count) -> None:
+        """Train and test the classifiers of contact, if there are rounds of them."""
         if options.rounds:
             found.touch = touch.told(out / "touch", options.rounds, options.seed, count)
 

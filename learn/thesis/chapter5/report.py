@@ -274,9 +274,11 @@ def _rows_figure(found: Findings) -> Figure:
     shown = [*((f"({row.letter})", row, "trained") for row in TABLE_5_2), *((n, FINAL, n) for n in BASELINES)]
 
     def pairs(column: str) -> list[tuple[float, float]]:
+        """Return mean and half-width of a column, a pair for each row that is shown."""
         return [_bar(found, row.run, policy, column) for _, row, policy in shown]
 
     def theirs(row: TableRow, policy: str) -> tuple[tuple[float, float], tuple[float, float]] | None:
+        """Return the thesis's success and drop of occlusion of a trained row; None of a baseline."""
         return (row.thesis[SUCCESS], row.thesis["Occ Drop %"]) if policy == "trained" else None
 
     names, thesis = [name for name, _, _ in shown], [theirs(row, policy) for _, row, policy in shown]

@@ -180,6 +180,7 @@ def _row_of(kept: dict[str, Any]) -> Row:
     """Return a row as `evaluate` wrote it."""
 
     def known(value: float | None) -> float:
+        """Return a number, NaN where JSON has null."""
         return math.nan if value is None else value
 
     count = len(kept[COLUMNS[0]]["sets"])
