@@ -6,7 +6,9 @@ grasp point that stands at d from its calm place while nothing pulls, with r_i t
     phi_i = r_i x d / sum_j |r_j|^2
 
 over the joints at which a law holds anything; of one joint this is the smallest turn. The laws hold the spring's
-torque K phi_i as far as they can, and the joint begins where they do: without such a law at rest.
+torque K phi_i as far as they can, and the joint begins where they do: without such a law at rest. A law that remembers
+the recording before already holds the branch somewhere: there d is counted from that place, and what its memory holds
+otherwise, which the grasp point does not show, it keeps.
 """
 
 from types import SimpleNamespace
@@ -14,7 +16,7 @@ from typing import Any
 
 import warp as wp
 
-from ..lanes.algebra import cross, div, dot, exponential, mul, norm, sub, unrotate
+from ..lanes.algebra import add, add_scaled, cross, div, dot, exponential, mul, norm, sub, unrotate
 from ..lanes.real import fma, real, where_neg
 from ..tree.articulated import SPHERICAL
 from .terms import Term, function_of, memory_row, named_all, reader
@@ -23,12 +25,15 @@ __all__ = ["held", "holder_of"]
 
 
 @wp.func
-def held(r: Any, most: Any, y: Any):
-    """Of the torque ``r.torque``, what a law tau = -most z / y, |z| <= y, holds at rest, and the z that does."""
-    full = norm(r.torque)
+def held(r: Any, spring: Any, y: Any):
+    """Of the torque ``r.torque``, what a law tau = -spring z, |z| <= y, holds beyond what it does, and the z for it."""
+    most = spring * y
+    before = r.memory * spring
+    asked = r.torque - before
+    full = norm(asked)
     full = where_neg(full - most, most, full)
     o = real(0.0, y)
-    return type(r)(r.torque * (most / full), r.torque * ((o - y) / full), o, o)
+    return type(r)(add_scaled(before, asked, most / full), asked * ((o - y) / full), o, o)
 
 
 def _hold_own(term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
@@ -38,10 +43,12 @@ def _hold_own(term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
     def hold_own(e: int, i: int, fx: Any, j: Any, left: Any, mark: Any):
         """Return what this law leaves of the torque ``left``, and remember what it holds where there is no mark."""
         o = real(0.0, mark)
-        r = holds(j, read(e, i, fx), types.Response(left, left - left, o, o))
+        k = row * fx.stride + i
+        z = left - left
         if wp.static(remembers):
-            k = row * fx.stride + i
             z = fx.memory[e, k]
+        r = holds(j, read(e, i, fx), types.Response(left, z, o, o))
+        if wp.static(remembers):
             fx.memory[e, k] = type(z)(
                 where_neg(o - mark, z.x, r.memory.x), where_neg(o - mark, z.y, r.memory.y),
                 where_neg(o - mark, z.z, r.memory.z),
@@ -77,22 +84,23 @@ def _hold_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
 def holder_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
     """Return the device function that begins a recording where laws hold a branch.
 
-    It wants links located with the joints at rest. Worlds whose ``settle`` is marked stay as they are.
+    It wants links located, in calm. Worlds that rest under a load, ``settle`` 2, stay as they are.
     """
     hold = _hold_of(terms, types, key)
 
     def begin(e: int, row: int, place: int, point: Any, off: Any, m: Any, x: Any, fx: Any, s: Any):
         """Turn the joints from ``place`` to the root by (K phi_i - what the laws leave of it) / K, where no mark is."""
-        mark = fx.settle[e]
-        o = real(0.0, mark)
-        one = real(1.0, mark)
+        one = real(1.0, fx.settle[e])
+        o = one - one
+        mark = fx.settle[e] - one
         total = o
         i = place
         while i > 0:
             arm = point - s.accel[row, i]
             asked = type(arm)(m.stiffness[e, i], o, o)
-            given = asked - hold(e, i, m, fx, asked, mark)
-            total = where_neg(o - dot(given, given), fma(dot(arm, arm), one, total), total)
+            given = asked - hold(e, i, m, fx, asked, one)
+            back = asked + hold(e, i, m, fx, asked * (o - one), one)  # what is held already may be all it can one way
+            total = where_neg(o - dot(given, given) - dot(back, back), fma(dot(arm, arm), one, total), total)
             i = m.parent[e, i]
         total = where_neg(o - total, total, one)
         i = place
@@ -105,9 +113,9 @@ def holder_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
             spring = where_neg(o - spring, spring, one)  # a joint without a spring has nothing to hold
             turn = (asked - hold(e, i, m, fx, asked, mark)) * (one / spring)
             q = x.coordinate[e, i]
-            new = exponential(turn, q)
+            new = q * exponential(turn, q)
             if m.kind[e, i] != SPHERICAL:
-                new = type(q)(one, turn.x, o, o)
+                new = type(q)(one, q.x + turn.x, o, o)
             x.coordinate[e, i] = type(q)(
                 where_neg(o - mark, q.w, new.w), where_neg(o - mark, q.x, new.x),
                 where_neg(o - mark, q.y, new.y), where_neg(o - mark, q.z, new.z),

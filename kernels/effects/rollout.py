@@ -339,6 +339,17 @@ def settle(
 
 
 @wp.func
+def way_to(off: Any, gone: Any):
+    """Displacement ``off`` at which a recording finds a branch, less ``gone``, where memory left it; 0 if it is 0."""
+    o = off.x - off.x
+    told = dot(off, off)
+    way = off - gone
+    return type(off)(
+        where_neg(o - told, way.x, o), where_neg(o - told, way.y, o), where_neg(o - told, way.z, o)
+    )  # fmt: skip
+
+
+@wp.func
 def set_out(
     e: int, row: int, j: int, place: int, is_first: bool, at: Slots, m: Any, x: Any, u: Any, fx: Any, s: Any,
     grip: wp.array2d(dtype=wp.float64), nominal: Any, time: wp.float64, bound: wp.float64, advance: wp.Function,
@@ -347,7 +358,8 @@ def set_out(
     """Bring the worlds to where recording j begins; return the point that displacement counts from, and the calm pose.
 
     Worlds that are blown come to rest under the wind; displacement is counted from the calm pose all the same, that of
-    the whole branch where damage lasts. Other worlds begin where friction holds them (`held`).
+    the whole branch where a memory lasts. Other worlds begin where laws hold them (`held`): at the place `OFF` from
+    there, where the recording tells one, else where the memory leaves them.
     """
     o = real(0.0, nominal.x)
     lasting = fx.active[e, at.lasting]
@@ -363,7 +375,8 @@ def set_out(
     if lasting == 1:  # find the calm pose after the damage so far
         settle(e, row, m, x, u, fx, s, time, bound, CALM, advance)
         locate_links(e, row, m, x, s)
-    start = s.accel[row, place] + rotate(s.pose[row, place], nominal)
+    here = s.accel[row, place] + rotate(s.pose[row, place], nominal)
+    start = type(here)(here.x, here.y, here.z)
     if lasting == 1:
         start = grip_of(grip, j, GIVEN, nominal)
     calm = s.pose[row, place]
@@ -371,7 +384,7 @@ def set_out(
         settle(e, row, m, x, u, fx, s, time, bound, STILL, advance)
         locate_links(e, row, m, x, s)
     if fx.active[e, at.holding] == 1:
-        hold(e, row, place, start, grip_of(grip, j, OFF, nominal), m, x, fx, s)
+        hold(e, row, place, here, way_to(grip_of(grip, j, OFF, nominal), here - start), m, x, fx, s)
     return start, calm
 
 

@@ -142,14 +142,14 @@ def _branch_arguments(rollout: ReplayWorlds) -> list[Any]:
     system, m, device = rollout.system, rollout.model, rollout.device
     assert isinstance(system, BranchSystem)
     rollout.channels = 6
-    sequence = history(rollout) if system.acting.persists else rollout.recordings
-    chains = 1 if system.acting.persists else len(sequence)
+    sequence = history(rollout) if rollout.chained else rollout.recordings
+    chains = 1 if rollout.chained else len(sequence)
     first = np.repeat(np.arange(chains), rollout.blocks)
-    last = first + 1 if not system.acting.persists else np.full_like(first, len(sequence))
+    last = first + 1 if not rollout.chained else np.full_like(first, len(sequence))
     longest = max(len(r.t) for r in rollout.recordings)
     starts = [r.t_start for r in rollout.recordings]
     offset = np.zeros(len(sequence), dtype=int)
-    if system.acting.persists:
+    if rollout.chained:
         offset[:] = [starts.index(r.t_start) * longest if r.t_start in starts else -1 for r in sequence]
     held = [system.first + _grasp(r)[0] for r in sequence]
     inputs = _stacked([_felt(r) for r in sequence])

@@ -27,7 +27,7 @@ import torch
 
 from ...sim.base.types import Array
 from ..cases.case import BranchCase
-from ..systems.branch import BranchSystem, Unknowns
+from ..systems.branch import Unknowns
 from .recording import Recording
 from .rollout import Rollout
 
@@ -98,13 +98,12 @@ def input_colour(
         device: Warp device.
     """
     sets = values[None] if nearby is None else torch.cat([values[None], nearby])
-    unknowns, sets = _undamaged(case, unknowns, sets)
     axes = np.flatnonzero(force_sigma > 0.0)
     pulsed, step = [], 5.0 * float(force_sigma.max())
     moments = [_moments(len(r.t)) for r in chosen]
     for r, at in zip(chosen, moments, strict=True):
         pulsed += [r, *(_pulse(r, int(k), int(a), step) for k in at for a in axes)]
-    out = Rollout(case, pulsed, len(sets), unknowns=unknowns, device=device)(sets)
+    out = Rollout(case, pulsed, len(sets), unknowns=unknowns, device=device, alone=True)(sets)
     sigma = sigma.to(out.device)
     weight = torch.where(sigma > 0.0, 1.0 / torch.where(sigma > 0.0, sigma, 1.0), 0.0)[:, None]
     parts, first, power = [], 0, torch.zeros(len(sets) - 1, dtype=torch.float64, device=out.device)
@@ -119,18 +118,6 @@ def input_colour(
                 power[k - 1] += _power(*parts[-1], scaled)
         first = pulses.stop
     return _stacked(parts, power)
-
-
-def _undamaged(case: BranchCase, unknowns: Unknowns | None, sets: torch.Tensor) -> tuple[Unknowns | None, torch.Tensor]:
-    """Return unknowns and parameters [S, n] without the effects whose damage lasts."""
-    system = BranchSystem(case, unknowns)
-    if not system.acting.persists:
-        return unknowns, sets
-    gone = [a for a in system.unknowns.effects if system.acting.laws[a.name].persistent]
-    starts = tuple(f"{a.label} " for a in gone)
-    columns = [k for k, p in enumerate(system.parameters) if not p.name.startswith(starts)]
-    kept = tuple(a for a in system.unknowns.effects if a not in gone)
-    return replace(system.unknowns, effects=kept, box=()), sets[:, columns]
 
 
 def _moments(length: int) -> Array:

@@ -32,9 +32,12 @@ class Rollout(ReplayWorlds):
     def __init__(
         self, case: BranchCase | JointCase, chosen: Sequence[Recording], num_sets: int, *,
         unknowns: Unknowns | None = None, device: Any = None, track: bool = False, finer: int = 1,
+        alone: bool = False,
     ) -> None:  # fmt: skip
         """Build the worlds, see `ReplayWorlds`."""
-        super().__init__(case, chosen, num_sets, unknowns=unknowns, device=device, track=track, finer=finer)
+        super().__init__(
+            case, chosen, num_sets, unknowns=unknowns, device=device, track=track, finer=finer, alone=alone
+        )
         self.world_steps, self.seconds = 0, 0.0
         self.effects: EffectArrays | None = None
         arrays = self.model.arrays

@@ -29,17 +29,20 @@ class ReplayWorlds:
         blocks: Groups of worlds that the sets of a recording take.
         num_locals: Numbers of a start state per recording (two per joint; none for a branch at rest).
         torch_device: Where parameters are taken and channels returned.
-        chains: Worlds that the recordings of one set take: one where damage persists, else one per recording.
+        chained: Whether one world replays all recordings in turn: what one leaves behind is there in the next.
+        chains: Worlds that the recordings of one set take: one where they are chained, else one per recording.
     """
 
     def __init__(
         self, case: BranchCase | JointCase, chosen: Sequence[Recording], num_sets: int, *,
         unknowns: Unknowns | None = None, device: Any = None, track: bool = False, finer: int = 1,
+        alone: bool = False,
     ) -> None:  # fmt: skip
         """Build the worlds; with ``track`` those of a branch with effects note their joints' coordinates too.
 
-        Steps are ``finer`` times as short as the system's own. Worlds are on the CPU unless a Warp device is given: a
-        case is some hundred of them, and all laws in one kernel keep NVIDIA's compiler busy for more than 18 minutes.
+        With ``alone`` every recording begins with a branch that nothing has happened to. Steps are ``finer`` times as
+        short as the system's own. Worlds are on the CPU unless a Warp device is given: a case is some hundred of them,
+        and all laws in one kernel keep NVIDIA's compiler busy for more than 18 minutes.
         """
         self.track = track
         self.case, self.system = case, system_of(case, unknowns)
@@ -48,7 +51,8 @@ class ReplayWorlds:
         self.device = wp.get_device("cpu" if device is None else device)
         width = 1 if self.device.is_cuda else simd_width()
         self.blocks = -(-num_sets // width)
-        self.chains = 1 if self.system.acting.persists else len(chosen)  # damage: one world replays all recordings
+        self.chained = self.system.acting.persists and not alone
+        self.chains = 1 if self.chained else len(chosen)
         worlds = [self.system.tree] * (self.chains * self.blocks * width)
         self.model = Model(worlds, gravity=self.system.gravity, device=self.device, width=width)
         self.substeps = finer * max(1, int(np.ceil(case.dt / self.system.substep - 1e-9)))

@@ -117,7 +117,7 @@ class ActingSet:
 
     @property
     def persists(self) -> bool:
-        """Whether damage of one recording persists in the next."""
+        """Whether what one recording leaves behind is there in the next."""
         return any(law.persistent for law in self.laws.values())
 
     @property
@@ -147,14 +147,17 @@ class ActingSet:
             write(FIELD, entry.place * stride + at, 0, value)
 
     def marks(self, columns: torch.Tensor) -> torch.Tensor:
-        """Return 1 for every set whose rest pose differs from the given pose, else 0, [sets]."""
-        loads = torch.tensor([self._loads(entry) for entry in self.entries], dtype=torch.bool, device=columns.device)
-        return (self._changed(columns) & loads).any(1).to(columns)
+        """Return 2 for every set that rests under a load, 1 for one that rests where a memory left it, else 0, [sets].
 
-    def _loads(self, entry: Entry) -> bool:
-        """Return whether a branch rests elsewhere where an entry is not neutral: a load, or the share of damage."""
+        The others rest in the given pose.
+        """
+        rests = torch.tensor([self._rests(entry) for entry in self.entries])
+        return (self._changed(columns) * rests.to(columns)).amax(1)
+
+    def _rests(self, entry: Entry) -> int:
+        """Return how a branch rests elsewhere where an entry is not neutral: a load, or the share of what remembers."""
         law = self.laws[self.names[entry.place // 6]]
-        return entry.spec.name in law.settles or (law.persistent and entry.place % 6 == 0)
+        return 2 if entry.spec.name in law.settles else int(law.persistent and entry.place % 6 == 0)
 
     def switched_on(self, columns: torch.Tensor) -> torch.Tensor:
         """Return whether some parameter of each effect is not neutral, [sets, names]; a trunk's plane is a law."""

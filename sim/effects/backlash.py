@@ -49,7 +49,7 @@ def backlash_ball(j: Any, p: Any, r: Any):
 @wp.func
 def backlash_holds(j: Any, p: Any, r: Any):
     """Up to K g (1 - s): what is lacking of the spring at the edge of the gap."""
-    return held(r, j.stiffness * p.a * (real(1.0, p.a) - p.d), p.a)
+    return held(r, j.stiffness * (real(1.0, p.a) - p.d), p.a)
 
 
 _GAP = EffectParameter("gap_rad", "rad", lambda s: 0.005 * s.angle, lambda s: 0.8 * s.angle, scale="log")

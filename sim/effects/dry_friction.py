@@ -65,7 +65,8 @@ def dry_friction(j: Any, p: Any, r: Any):
 def dry_friction_holds(j: Any, p: Any, r: Any):
     """Up to what there is of it at rest, T (1 + s), bent as far as that takes."""
     least = real(BEND, p.a)
-    return held(r, p.a * (real(1.0, p.a) + p.d), where_neg(p.b - least, least, p.b))
+    y = where_neg(p.b - least, least, p.b)
+    return held(r, p.a * (real(1.0, p.a) + p.d) / y, y)
 
 
 @wp.func

@@ -61,7 +61,7 @@ def hysteresis_boucwen(j: Any, p: Any, r: Any):
 @wp.func
 def hysteresis_holds(j: Any, p: Any, r: Any):
     """Up to a K y: what the second spring gives where its slider is about to yield."""
-    return held(r, p.a * j.stiffness * p.b, p.b)
+    return held(r, p.a * j.stiffness, p.b)
 
 
 _PARAMETERS = (
@@ -93,6 +93,7 @@ EFFECT = register(
             (_SHARE, *_PARAMETERS[1:], _LOADING, _SEPARATE, TWIST_SHARE),
             hysteresis_boucwen,
             memory=1,
+            persistent=True,
             holds=hysteresis_holds,
         ),
         joint=Law("joint", (*_PARAMETERS, _STIFFENING), hysteresis_boucwen, memory=1),

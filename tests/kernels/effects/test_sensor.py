@@ -55,12 +55,14 @@ def test_pre_loads_that_do_not_carry_the_weight(tmp_path, overload):
 
 
 def test_only_a_pre_load_moves_a_branch_off_its_pose():
-    """Let no world rest elsewhere for a tool's weight; a wind and a pre-load do."""
-    entries = (Acting("gravity_comp_error"), Acting("steady_wind"))
+    """Let no world rest elsewhere for a tool's weight; a wind and a pre-load do, and what hysteresis remembers."""
+    entries = (Acting("gravity_comp_error"), Acting("steady_wind"), Acting("hysteresis_boucwen", 0))
     own = ActingSet(entries, "branch", [Setting()])
-    sets = np.tile([0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], (4, 1))
+    sets = np.tile([e.spec.neutral for e in own.entries], (6, 1))
     sets[0, [0, 1, 2, 8]], sets[1, 4], sets[2, 6] = [0.1, 0.5, 0.2, 1.0], 0.2, 30.0
-    assert own.marks(tensor(sets)).tolist() == [0.0, 1.0, 1.0, 0.0]
+    share = next(k for k, e in enumerate(own.entries) if e.spec.name == "share")
+    sets[4:, share], sets[5, 4] = 0.3, 0.2
+    assert own.marks(tensor(sets)).tolist() == [0.0, 2.0, 2.0, 0.0, 1.0, 2.0]
 
 
 def test_a_warming_sensor_reads_ever_more(tmp_path):

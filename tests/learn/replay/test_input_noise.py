@@ -11,6 +11,7 @@ from bough.learn.replay.rollout import Rollout
 from bough.learn.replay.simulated_case import Experiment, random_branch, write_simulated_case
 from bough.learn.systems.acting import Acting
 from bough.learn.systems.branch import Unknowns
+from bough.sim.effects import effect_of
 
 DRAWS = 600
 STIFFNESS, DAMPING = np.array([60.0, 25.0]), np.array([0.9, 0.3])
@@ -74,22 +75,24 @@ def test_whitened_draws_are_white(noisy):
     assert (((white @ other).var(0) - 1.0).abs() < 0.3).all()
 
 
-def test_noise_does_no_damage(tmp_path):
-    """Take the response without a joint's plastic set, whether its parameters are known or unknown."""
+@pytest.mark.parametrize("law", ["plastic_set", "hysteresis_boucwen"])
+def test_noise_leaves_nothing_behind(tmp_path, law):
+    """Answer a pulse in one recording as if no other had been, though the law remembers; see the law in the answer."""
     rng = np.random.default_rng(4)
     truth = {"stiffness": STIFFNESS, "damping": DAMPING}
     case = write_simulated_case(
         tmp_path / "case", random_branch(rng, 2), truth, Experiment(samples=30), trajectories=2, seed=1
     )
     values = torch.tensor(np.concatenate([STIFFNESS, DAMPING]))
-    given = (recordings(case), values, np.full(3, 0.1), torch.full((6,), 1e-3))
-    plain = input_colour(case, *given)
-    share = Acting("plastic_set", 1, {"yield_rad": 0.01, "isotropic": 0.5, "separate": 0.5})
-    for acting, more in ((share, [0.4]), (replace(share, known={**share.known, "share": 0.4}), [])):
-        with_set = torch.cat([values, torch.tensor(more, dtype=torch.float64)])
-        unknowns = Unknowns(effects=(acting,), box=("stiffness=1:200",))
-        colour = input_colour(case, given[0], with_set, *given[2:], unknowns=unknowns)
-        assert (colour.basis == plain.basis).all() and (colour.gain == plain.gain).all()
+    given = (values, np.full(3, 0.1), torch.full((6,), 1e-3))
+    known = {p.name: p.neutral for p in effect_of(law).branch.parameters}
+    acting = Acting(law, 1, known | {"yield_rad": 0.01, "share": 0.4})
+    unknowns = Unknowns(effects=(acting,), box=("stiffness=1:200",))
+    whole, second = (input_colour(case, chosen, *given, unknowns=unknowns) for chosen in
+                     (recordings(case), recordings(case)[1:]))  # fmt: skip
+    assert (whole.gain[1] == second.gain[0]).all() and (whole.basis[1] == second.basis[0]).all()
+    plain = input_colour(case, recordings(case)[1:], *given)
+    assert (whole.gain[1, 0] - plain.gain[0, 0]).abs() > 0.02 * plain.gain[0, 0]
 
 
 @pytest.mark.parametrize("samples", [110, 200, 400])
