@@ -37,16 +37,15 @@ from .terms import (
     step_of,
 )
 
-__all__ = ["DELAY", "SETTLING", "effect_rollout_kernels"]
+__all__ = ["SETTLING", "effect_rollout_kernels"]
 
-#: Most samples that a force may lag or lead.
-DELAY = 5
-#: Samples until a gripper opens that no shift reaches.
-NEVER = wp.constant(3 * DELAY)
+#: Samples until a gripper opens after which a shift does not see it.
+NEVER = wp.constant(3)
 #: Column of a branch's input that is 1 where the gripper may hold, else 0; as many columns on stands what the sensor
-#: felt, in the place of each.
+#: felt, in the place of each; then 1 where the gripper is timed with the force, 0 where it is timed with the motion.
 CLOSED = wp.constant(3)
 SENSED = wp.constant(4)
+TOGETHER = wp.constant(8)
 #: Columns of ``grip``: grasp point and direction of the segment in the link's frame, how far the grip may slide down
 #: (negative) and up, the point in the world in the given pose [m], the recording's largest force [N], how far off
 #: its calm place the point stands before [m], what the sensor reads of an open gripper [N], and the level unit vector
@@ -113,45 +112,57 @@ def hat(x: Any):
 
 @wp.func
 def opening(input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int):
-    """Samples from k until the gripper next opens; `NEVER` where no shift reaches it."""
-    for d in range(1, 2 * DELAY + 2):
-        if sample(input_in, j, k + d, n, CLOSED) == wp.float64(0.0):
-            if sample(input_in, j, k + d - 1, n, CLOSED) > wp.float64(0.0):
-                return int(d)
+    """Samples from k until the gripper next opens; `NEVER` where that is far, or the force's clock tells it."""
+    if input_in[j, 0, TOGETHER] == wp.float64(0.0):
+        for d in range(1, NEVER):
+            if sample(input_in, j, k + d, n, CLOSED) == wp.float64(0.0):
+                if sample(input_in, j, k + d - 1, n, CLOSED) > wp.float64(0.0):
+                    return int(d)
     return int(NEVER)
 
 
 @wp.func
 def shifted(
-    input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, c: int, ends: int, share: wp.float64, lag: Any
-):
-    """What a shift of the recording by ``lag`` samples adds to its value ``share`` of a sample after sample k.
+    input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, c: int, low: int, high: int, ends: int,
+    share: wp.float64, late: Any,
+):  # fmt: skip
+    """Recorded value ``late`` samples after the moment that is ``share`` of a sample past sample k.
 
-    The gripper opens ``ends`` samples after k, and the force falls to zero within the last of them. A recorded value
-    that lies f of a sample inside this fall is 1 - f of the force, so f of the one before is added; one after it is not
-    used. What is linear between the samples after a shift is no more what it was, and a release is the largest change.
+    Lanes are late by ``low`` to ``high`` samples. The gripper opens ``ends`` samples after k, and the force falls to
+    zero within the last of them. A recorded value that lies f of a sample inside this fall is 1 - f of the force, so f
+    of the one before is added; one after it is not used. What is linear between the samples after a shift is no more
+    what it was, and a release is the largest change.
     """
-    o = real(0.0, lag)
-    one = real(1.0, lag)
-    here = real(share, lag)
-    most = real(float(DELAY), lag)
-    late = where_neg(most - lag, most, lag)
-    late = where_neg(late + most, o - most, late)
+    o = real(0.0, late)
+    one = real(1.0, late)
+    here = real(share, late)
     falling = wp.where(ends == 1, 1, 0)
-    looked = here * real(float(1 - falling), lag) + late
+    looked = here * real(float(1 - falling), late) + late
     moved = o
-    left = o
-    last = real(sample(input_in, j, k - DELAY, n, c), lag)
-    for step in range(2 * DELAY + 2):
-        d = step - DELAY
-        value = real(sample(input_in, j, k + d, n, c), lag)
-        inside = real(float(d + 1 - ends), lag) - late
+    last = real(sample(input_in, j, k + low - 1, n, c), late)
+    for d in range(low, high + 2):
+        value = real(sample(input_in, j, k + d, n, c), late)
+        inside = real(float(d + 1 - ends), late) - late
         inside = where_neg(inside, o, inside)
         part = where_neg(inside - one, inside, one)
         last = fma(part, last, where_neg(inside - one, value, o))
-        moved = fma(last, hat(looked - real(float(d), lag)), moved)
-        left = fma(value, hat(here - real(float(d), lag)), left)
-    return moved * (one - here * real(float(falling), lag)) - left
+        moved = fma(last, hat(looked - real(float(d), late)), moved)
+    return moved * (one - here * real(float(falling), late))
+
+
+@wp.func
+def closed_at(
+    input_in: wp.array3d(dtype=wp.float64), j: int, k: int, n: int, low: int, high: int, share: wp.float64, late: Any
+):
+    """Whether the gripper may hold at either sample about that moment, 1 or 0 in each lane, see `shifted`."""
+    o = real(0.0, late)
+    one = real(1.0, late)
+    looked = real(share, late) + late
+    closed = o
+    for d in range(low, high + 2):
+        value = real(sample(input_in, j, k + d, n, CLOSED), late)
+        closed = closed + where_neg(o - hat(looked - real(float(d), late)), value, o)
+    return where_neg(closed - one, closed, one)
 
 
 @wp.func
@@ -161,14 +172,27 @@ def drawn(
 ):  # fmt: skip
     """Recorded value of column c in the middle of a step, of ``rate`` samples a second.
 
-    Where the sensor lags it is that of column ``sensed``, and what `shifted` adds to it.
+    Where the sensor lags it is that of column ``sensed``, `shifted`.
     """
     value = real(between(input_in, now, c), like)
     if is_on(e, delay, fx):
-        lag = fx.parameter[e, delay * PARAMETERS * fx.stride] * real(rate, like)
-        value = real(between(input_in, now, sensed), like)
-        value = value + shifted(input_in, now.recording, now.sample, n, sensed, ends, share_of(now), lag)
+        late = fx.parameter[e, delay * PARAMETERS * fx.stride] * real(rate, like)
+        value = shifted(input_in, now.recording, now.sample, n, sensed, fx.lag[e, 0], fx.lag[e, 1], ends,
+                        share_of(now), late)  # fmt: skip
     return value
+
+
+@wp.func
+def holding(e: int, fx: Any, delay: int, input_in: wp.array3d(dtype=wp.float64), now: Moment, n: int, rate: wp.float64,
+            like: Any):  # fmt: skip
+    """Whether the gripper may hold, 1 or 0: of a gripper that is timed with the force when the force says so."""
+    closed = input_in[now.recording, now.sample, CLOSED] + input_in[now.recording, now.after, CLOSED]
+    held = real(wp.min(closed, wp.float64(1.0)), like)
+    if is_on(e, delay, fx):
+        if input_in[now.recording, 0, TOGETHER] > wp.float64(0.0):
+            late = fx.parameter[e, delay * PARAMETERS * fx.stride] * real(rate, like)
+            held = closed_at(input_in, now.recording, now.sample, n, fx.lag[e, 0], fx.lag[e, 1], share_of(now), late)
+    return held
 
 
 @wp.func
@@ -183,8 +207,7 @@ def acting(
         drawn(e, fx, delay, input_in, now, n, 1, SENSED + 1, ends, rate, o),
         drawn(e, fx, delay, input_in, now, n, 2, SENSED + 2, ends, rate, o),
     )
-    closed = input_in[now.recording, now.sample, CLOSED] + input_in[now.recording, now.after, CLOSED]
-    held = real(wp.min(closed, wp.float64(1.0)), o)
+    held = holding(e, fx, delay, input_in, now, n, rate, o)
     recorded = recorded * held  # a late sensor still feels what an open gripper does not
     contact = drawn(e, fx, delay, input_in, now, n, CLOSED, SENSED + CLOSED, ends, rate, o) * held
     time = like.time + real((wp.float64(now.sample) + share_of(now)) / rate, o)

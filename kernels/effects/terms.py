@@ -247,6 +247,7 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         area: wp.array2d(dtype=Real)
         centre: wp.array2d(dtype=Vec)
         settle: wp.array(dtype=Real)
+        lag: wp.array2d(dtype=int)
         tip: int
         tip_point: wp.array(dtype=wp.float64)
         stride: int

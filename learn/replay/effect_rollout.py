@@ -54,6 +54,7 @@ class EffectArrays:
             setattr(self.kernel, name, self.arrays[name].kernel)
         self.kernel.stride = stride
         self.kernel.active = wp.zeros((m.groups, count + len(GROUPS)), dtype=int, device=m.device)
+        self.kernel.lag = wp.zeros((m.groups, 2), dtype=int, device=m.device)
         neutral = torch.tensor(acting.neutral()).repeat_interleave(stride)
         self.arrays[FIELD].torch[..., 0] = neutral.to(self.arrays[FIELD].torch)
         self._tip(rollout)
@@ -95,6 +96,7 @@ class EffectArrays:
         self.arrays["damping"].torch.copy_(rollout.simulator._damping.torch)
         acting = rollout.system.acting
         columns = values[:, values.shape[1] - len(acting.parameters) :]
+        self._lags(rollout, columns)
         marks = acting.marks(columns)
         rollout.place_marks(self.arrays["settle"], marks)
         on, terms = acting.switched_on(columns), self.terms
@@ -105,6 +107,15 @@ class EffectArrays:
         groups = sets.view(rollout.blocks, rollout.model.width, -1).any(1)
         active = wp.to_torch(self.kernel.active).view(-1, *groups.shape)
         active.copy_(groups.expand_as(active))
+
+    def _lags(self, rollout: ReplayWorlds, columns: torch.Tensor) -> None:
+        """Note by how many samples the sensors of each group's worlds are late, at least and at most."""
+        acting = rollout.system.acting
+        if acting.has("time_delay"):
+            late = acting.value("time_delay", "lag_s", columns).view(rollout.blocks, -1) / rollout.case.dt
+            ends = torch.stack([late.amin(1).floor(), late.amax(1).ceil()], 1)
+            lags = wp.to_torch(self.kernel.lag).view(-1, *ends.shape)
+            lags.copy_(ends.expand_as(lags))
 
 
 def prepare(rollout: ReplayWorlds) -> tuple[EffectArrays, Callable[[], None]]:
@@ -167,9 +178,9 @@ def _branch_arguments(rollout: ReplayWorlds) -> list[Any]:
 
 
 def _felt(r: Recording) -> Array:
-    """Force [N], whether the gripper holds, what the sensor read [N], and that it read anything, shape [T, 8]."""
-    sensed = r.input if r.sensed is None else r.sensed
-    return np.column_stack([r.input, r.contact.astype(np.float64), sensed, np.ones(len(r.t))])
+    """Force [N], whether the gripper holds, what the sensor read [N], that it read anything, `together`, [T, 9]."""
+    sensed, ones = r.input if r.sensed is None else r.sensed, np.ones(len(r.t))
+    return np.column_stack([r.input, r.contact.astype(np.float64), sensed, ones, ones * r.together])
 
 
 def history(rollout: ReplayWorlds) -> list[Recording]:

@@ -17,6 +17,8 @@ MOST_STILL, FAR = 10, 4.0
 LEVEL, ASIDE = 0.02, 0.3
 #: Deviations of its noise within which a force may be none.
 NONE = 3.0
+#: Share of the falls of a force that may lie beside the samples in which the gripper opens.
+QUARTER = 0.25
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class Recording:
             direction, or one for all recordings: a force that turns with it cannot be told from one that does not.
         sways: Whether the branch is off its calm pose or moves where a recording of the case begins: what acts by the
             clock has acted before.
+        together: Whether a branch's gripper is timed with its force, which falls as it opens; else with the motion.
     """
 
     t: Array
@@ -57,6 +60,7 @@ class Recording:
     opened: Array = field(default_factory=lambda: np.zeros(3))
     heading: Array = field(default_factory=lambda: np.zeros(3))
     sways: bool = False
+    together: bool = True
 
 
 def beginning(recording: Recording, count: int) -> Recording:
@@ -69,12 +73,13 @@ def beginning(recording: Recording, count: int) -> Recording:
 def recordings(case: BranchCase | JointCase) -> list[Recording]:
     """Return a case's trajectories; a branch's force is exactly zero where the gripper is known to be open."""
     if isinstance(case, BranchCase):
-        noise, ways = estimate_noise(case), headings(case)
+        noise, ways, together = estimate_noise(case), headings(case), timed_together(case)
         sways = any(any(_away(t, noise, 1)) for t in case.trajectories)
         return [
             Recording(t.t, np.where(t.no_contact[:, None], 0.0, t.force), np.hstack([t.displacement, t.velocity]),
                       np.zeros((0, 2)), ~t.no_contact, t.grasp, t.t_start, t.force,
-                      off=standing(t, noise), opened=_of_open_gripper(t, noise), heading=way, sways=sways)
+                      off=standing(t, noise), opened=_of_open_gripper(t, noise), heading=way, sways=sways,
+                      together=together)
             for t, way in zip(case.trajectories, ways, strict=True)
         ]  # fmt: skip
     return [
@@ -82,6 +87,29 @@ def recordings(case: BranchCase | JointCase) -> list[Recording]:
                   _first_state(case, t.output, t.t), np.zeros(len(t.t), dtype=bool), None, t.t_start)
         for t in case.trajectories
     ]  # fmt: skip
+
+
+def timed_together(case: BranchCase) -> bool:
+    """Return whether forces fall where the gripper opens: one clock times both.
+
+    A force that is late or early falls in part before the gripper opens, or is read of an open one. By more than a
+    quarter in all it has a clock of its own. A gripper that never lets go of a force counts as timed with it: there it
+    makes no difference.
+    """
+    noise = estimate_noise(case)
+    on, off = np.sum([_falls(t, _of_open_gripper(t, noise), noise.force) for t in case.trajectories], axis=0)
+    return bool(off <= QUARTER * (on + off))
+
+
+def _falls(t: BranchTrajectory, opened: Array, sigma: Array) -> tuple[float, float]:
+    """Return how much force goes within one sample as the gripper opens, and split about that [N], beyond noise."""
+    opens = np.flatnonzero(t.no_contact[3:] & ~t.no_contact[2:-1]) + 3
+    size, floor = np.linalg.norm(t.force - opened, axis=1), FAR * float(np.linalg.norm(sigma))
+    earlier, before, last, after = (size[opens + k] for k in (-3, -2, -1, 0))
+    ahead = before - last - 2.0 * np.abs(earlier - before)
+    at_once, before, after = (np.where(fall > floor, fall, 0.0) for fall in (last - after, ahead, after))
+    split = last > floor
+    return float(at_once.sum() + before[~split].sum()), float(before[split].sum() + after.sum())
 
 
 def headings(case: BranchCase) -> list[Array]:
