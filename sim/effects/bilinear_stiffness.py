@@ -10,9 +10,6 @@ from ...kernels.lanes.algebra import add, div, dot, mul, sub
 from ...kernels.lanes.real import cos_root, fma, real, sin_ratio, sqrt_, where_neg
 from .registry import Effect, EffectParameter, Law, axis_parameter, register
 
-#: Half-width of the change of slope at zero in a branch [rad].
-WIDTH = wp.constant(wp.float64(0.005))
-
 
 @wp.func
 def ramp(x: Any, w: Any):
@@ -26,7 +23,7 @@ def bilinear_stiffness(j: Any, p: Any, r: Any):
     o = real(0.0, p.a)
     n = type(r.torque)(cos_root(p.b * p.b), sin_ratio(p.b * p.b) * p.b, o)
     k = p.a * j.stiffness
-    return type(r)(n * (o - k * ramp(dot(j.angle, n), real(WIDTH, o))), r.memory, where_neg(k, o, k), o)
+    return type(r)(n * (o - k * ramp(dot(j.angle, n), p.c)), r.memory, where_neg(k, o, k), o)
 
 
 @wp.func
@@ -42,27 +39,34 @@ def other_side(values: Sequence[float]) -> tuple[Sequence[float], float]:
 
     Across that axis the one has K both ways and the other K (1 + rel).
     """
-    relative, axis = values
-    return (-relative / (1.0 + relative), axis + math.pi if axis < math.pi else axis - math.pi), 1.0 + relative
+    relative, axis, corner = values
+    turned = axis + math.pi if axis < math.pi else axis - math.pi
+    return (-relative / (1.0 + relative), turned, corner), 1.0 + relative
 
 
 _REL = EffectParameter("relative", "1", -0.9, 3.0)
 _CORNER = EffectParameter(
     "corner_rad", "rad", lambda s: 1e-3 * s.angle, lambda s: s.angle, neutral=0.005, scale="log", tries=2, optional=True
 )
+#: In a branch. A corner at an angle from rest is left out: a cord that is slack at rest would pass for it.
+_WIDTH = EffectParameter(
+    "corner_rad", "rad", 1e-4, lambda s: max(0.05, 0.5 * s.angle), 0.005, "log", 0.005, tries=lambda s: [0.005],
+    optional=True,
+)  # fmt: skip
 
 EFFECT = register(
     Effect(
         name="bilinear_stiffness",
         plain="a spring that is stiffer one way than the other",
-        summary="stiffness K (1 + rel) where the joint bends one way about an axis across the segment, K the other way",
-        source="Shaw & Holmes 1983, J. Sound Vib. 90:129; corner rounded, in a branch over 0.005 rad",
+        summary="stiffness K (1 + rel) where the joint bends one way about an axis across the segment, K the other way;"
+        " the change is gradual over a corner",
+        source="Shaw & Holmes 1983, J. Sound Vib. 90:129; corner rounded",
         signature="pushes to the two sides differ in stiffness; releases swing with unequal half periods",
         mistaken_for=("cubic_stiffness", "anisotropic_stiffness", "backlash"),
         probe="the same push and release in opposite directions, in two planes",
         branch=Law(
             "joint",
-            (_REL, axis_parameter(circle=True, tries=8)),
+            (_REL, axis_parameter(circle=True, tries=8), _WIDTH),
             bilinear_stiffness,
             mirror=other_side,
         ),

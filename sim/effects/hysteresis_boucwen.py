@@ -83,7 +83,7 @@ EFFECT = register(
         summary="a second spring of a K in series with a slider that yields gradually at the angle y, more abruptly the"
         " larger the exponent n; the share l yields on loading, the rest on the way back (beta y^n = 1/2, gamma y^n ="
         " l - 1/2); at a ball joint a share of it may yield about each axis of the segment by itself, and twist counts"
-        " by a share t",
+        " by a share t; in a branch it begins where the recording before left it",
         source="Bouc 1967; Wen 1976, ASCE EM 102:249; in space as Park, Wen & Ang 1986, EESD 14:543",
         signature="loops of force over displacement that are as wide slow as fast; stiffer after each reversal",
         mistaken_for=("dry_friction", "viscoelastic_sls", "plastic_set"),

@@ -326,13 +326,14 @@ def test_a_spring_told_from_its_other_side_is_the_same_in_its_plane(relative):
         push = stiffness * relative * max(along, 0.0)
         return np.array([stiffness * turn[0] + push * math.cos(axis), stiffness * turn[1] + push * math.sin(axis)])
 
-    (turned, other), factor = other_side((relative, 1.2))
+    (turned, other, corner), factor = other_side((relative, 1.2, 0.01))
+    assert corner == 0.01
     for sign in (1.0, -1.0):
         turn = 0.1 * sign * np.array([math.cos(1.2), math.sin(1.2)])
         np.testing.assert_allclose(torque(10.0 * factor, (turned, other), turn), torque(10.0, (relative, 1.2), turn))
     across = 0.1 * np.array([-math.sin(1.2), math.cos(1.2)])
     np.testing.assert_allclose(torque(10.0 * factor, (turned, other), across), (1.0 + relative) * 10.0 * across)
-    (again, axis), back = other_side((turned, other))
+    (again, axis, _), back = other_side((turned, other, 0.01))
     np.testing.assert_allclose([again, axis % (2.0 * math.pi), factor * back], [relative, 1.2, 1.0])
 
 
@@ -346,7 +347,9 @@ def test_a_fit_on_the_wrong_side_is_led_to_the_other(branch):
     names = [c.name for c in contest.candidates]
     one, two = names.index("bilinear_stiffness"), names.index("anisotropic_stiffness")
     truth = activated(contest, contest.base_batch(1), [(one,)])
-    truth.free[0, list(contest.candidates[one].columns)] = torch.tensor([-0.57, 1.2], dtype=torch.float64)
+    truth.free[0, list(contest.candidates[one].columns)] = torch.tensor(
+        [-0.57, 1.2, math.log(0.005)], dtype=torch.float64
+    )
     contest.measured = contest.simulate(contest.values(truth), truth.start)[0].double()
     begun = activated(contest, _mirrored(contest, truth, one), [(one, two)])
     astray = fit(contest, begun, 24)
@@ -357,7 +360,7 @@ def test_a_fit_on_the_wrong_side_is_led_to_the_other(branch):
     only = fit(contest, activated(contest, _mirrored(contest, truth, one), [(one,)]), 24)
     assert single.chi2 < 1e-3 * contest.num_samples < float(only.chi2[0])
     values = contest.values(single.fit.batch)[0, list(contest.candidates[one].columns)]
-    np.testing.assert_allclose(values, [-0.57, 1.2], atol=0.01)
+    np.testing.assert_allclose(values, [-0.57, 1.2, 0.005], atol=0.01)
     assert mirrored(contest, [Model((two,), astray)]) == []  # an anisotropic spring has no other side
 
 
