@@ -13,8 +13,9 @@ from ..replay.equation_error import fits_torque
 from ..systems.acting import Acting
 from .diagnosis import Settings, VerdictName
 from .evidence import ALARM, lacks_fit
-from .models.candidates import passes_neutral
+from .models.candidates import Candidate, passes_neutral
 from .models.certain import doubtful
+from .models.contest import Contest
 from .models.fitted import FURTHER, QUIET, FittedModels, Model, penalty
 from .models.left_out import fitted_chi2, left_out_chi2, profiles, without_event
 from .models.memoryless import MEMORYLESS, QUIET_TORQUE, memoryless_share
@@ -292,9 +293,12 @@ def size(fitted: FittedModels, model: Model, motion: float) -> float:
 def known(fitted: FittedModels, model: Model) -> bool:
     """Return whether a model explains enough for its effects to be named.
 
-    One law at two joints of a branch imitates many unknown effects, so it must explain nearly all.
+    One law at two joints of a branch imitates many unknown effects, so it must explain nearly all. What breaks does so
+    under a load.
     """
     case = fitted.contest.case
+    if isinstance(case, BranchCase) and fitted.reduced_chi2(model) > QUIET and breaks_untouched(fitted, model):
+        return False
     if isinstance(case, BranchCase) and len(set(fitted.names(model))) < len(model.members):
         return fitted.explained(model) >= TWICE and not _staircase(fitted, model)
     if fits_torque(case):
@@ -326,6 +330,32 @@ def _staircase(fitted: FittedModels, model: Model) -> bool:
     """Return whether a branch breaks twice in a model: two steps at two moments follow whatever drifts."""
     names = fitted.names(model)
     return any(names.count(n) > 1 and effect_of(n).law("branch").moment for n in names)
+
+
+def breaks_untouched(fitted: FittedModels, model: Model) -> bool:
+    """Return whether a branch breaks in a model where no gripper has closed: between recordings, or before a pull.
+
+    Springs that drift from recording to recording are followed by such a step.
+    """
+    contest = fitted.contest
+    candidates = [contest.candidates[c] for c in model.members]
+    breaking = [c for c in candidates if effect_of(c.name).law("branch").moment]
+    return any(not _pulled(contest.case, *_breaks(contest, model, c)) for c in breaking)
+
+
+def _breaks(contest: Contest, model: Model, candidate: Candidate) -> tuple[float, float]:
+    """Return when a candidate's break begins and ends on the absolute clock [s]."""
+    at = contest.values(model.fit.batch)[0, list(candidate.columns)].tolist()
+    values = dict(zip((s.name for s in candidate.specs), at, strict=True))
+    begin = values[candidate.law.moment]
+    return begin, begin + values["takes_s"]
+
+
+def _pulled(case: BranchCase | JointCase, begin: float, end: float) -> bool:
+    """Return whether a recording has been pulled at, and goes on, at some moment between two [s]."""
+    assert isinstance(case, BranchCase)
+    held = [t for t in case.trajectories if not t.no_contact.all()]
+    return any(t.t_start + t.t[~t.no_contact][0] <= end and begin <= t.t_start + t.t[-1] for t in held)
 
 
 def stretched(fitted: FittedModels, model: Model) -> tuple[int, ...]:
