@@ -18,7 +18,7 @@ from ..inference.identify import pooled_sigma
 from ..replay.choice import roughness
 from ..replay.equation_error import fits_torque, noise_of, recordings_of, thinned
 from ..replay.motion_noise import motion_noise
-from .decide import Decision, alternatives, decide, leading
+from .decide import EXPLAINED, Decision, alternatives, decide, leading
 from .evidence import bootstrap_test
 from .models.at_rest import Noise
 from .models.contest import Batch, Contest
@@ -40,8 +40,6 @@ SMOOTH = 0.05
 CLEARLY = 0.1
 #: Factor of the p-value of another treatment where the case's own names nothing.
 UNDO = 100.0
-#: Share of the excess that the effects which stay must explain.
-KEPT_EXPLAINED = 0.87
 
 
 @dataclass(frozen=True)
@@ -106,11 +104,11 @@ def _name(searched: Searched, candidate: int) -> str:
 def _reduced(searched: Searched, decision: Decision, kept: tuple[int, ...], changes: tuple[str, ...]) -> Decision:
     """Return the decision for the effects that are kept, with the model that has them alone.
 
-    What is left of an unstable verdict must explain enough to be claimed.
+    What is left of an unstable verdict must explain as much as the effects of a branch to be claimed.
     """
     fitted = searched.fitted
     alone = [m for m in fitted.of_size(len(kept)) if set(m.members) == set(kept)] if kept else []
-    if not alone or fitted.explained(alone[0]) < KEPT_EXPLAINED:
+    if not alone or fitted.explained(alone[0]) < EXPLAINED:
         nearest = fitted.contest.candidates[leading(fitted, decision.model)].name if decision.model.members else None
         return replace(decision, verdict="unknown", named=(), alternatives={}, nearest=nearest,
                        final=decision.model, unstable=changes)  # fmt: skip

@@ -318,9 +318,18 @@ def test_a_misfit_far_above_noise_is_not_nothing():
 
 
 def test_names_are_claimed_only_where_enough_is_explained():
-    """Claim what leaves noise or explains 0.95 of the excess; nothing that explains 0.94."""
+    """Claim what leaves noise or explains nine tenths of the excess; nothing that explains four fifths."""
+    for left, claimed in ((1100, True), (1200, True), (1400, False)):
+        fitted = field_of({(0,): left})
+        assert known(fitted, fitted.models[0]) is claimed
+
+
+def test_a_spring_that_pulls_one_way_must_explain_nearly_all():
+    """Claim a one-sided spring that leaves noise or explains 0.95 of the excess, none that explains 0.94."""
     for left, claimed in ((1100, True), (1400, True), (1480, False)):
         fitted = field_of({(0,): left}, base=9000.0)
+        one_sided = SimpleNamespace(name="bilinear_stiffness", label="")
+        fitted.contest.candidates[0] = Candidate(one_sided, (0,), SimpleNamespace(parameters=()))
         assert known(fitted, fitted.models[0]) is claimed
 
 
