@@ -73,7 +73,8 @@ def beginning(recording: Recording, count: int) -> Recording:
 def recordings(case: BranchCase | JointCase) -> list[Recording]:
     """Return a case's trajectories; a branch's force is exactly zero where the gripper is known to be open."""
     if isinstance(case, BranchCase):
-        noise, ways, together = estimate_noise(case), headings(case), timed_together(case)
+        noise, ways = estimate_noise(case), headings(case)
+        together = timed_together(case, noise)
         sways = any(any(_away(t, noise, 1)) for t in case.trajectories)
         return [
             Recording(t.t, np.where(t.no_contact[:, None], 0.0, t.force), np.hstack([t.displacement, t.velocity]),
@@ -89,14 +90,13 @@ def recordings(case: BranchCase | JointCase) -> list[Recording]:
     ]  # fmt: skip
 
 
-def timed_together(case: BranchCase) -> bool:
+def timed_together(case: BranchCase, noise: NoiseEstimate) -> bool:
     """Return whether forces fall where the gripper opens: one clock times both.
 
     A force that is late or early falls in part before the gripper opens, or is read of an open one. By more than a
     quarter in all it has a clock of its own. A gripper that never lets go of a force counts as timed with it: there it
     makes no difference.
     """
-    noise = estimate_noise(case)
     on, off = np.sum([_falls(t, _of_open_gripper(t, noise), noise.force) for t in case.trajectories], axis=0)
     return bool(off <= QUARTER * (on + off))
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from bough.learn.cases.noise import estimate_noise
 from bough.learn.replay.recording import recordings, timed_together
 from bough.learn.replay.rollout import Rollout
 from bough.learn.systems.acting import Acting
@@ -66,7 +67,7 @@ def test_the_clock_of_the_gripper_is_read_off_its_releases(tmp_path, late, offse
     """Tell a force that falls as the gripper opens, whatever it reads of an open one, from one that falls otherwise."""
     noise = 0.01 * np.random.default_rng(0).normal(size=(2, 100, 3))
     case = let_go(tmp_path / "c", [pulled(late) + offset + n for n in noise])
-    assert timed_together(case) is together
+    assert timed_together(case, estimate_noise(case)) is together
     assert all(r.together is together for r in recordings(case))
 
 
@@ -75,6 +76,6 @@ def test_a_force_that_is_let_down_slowly_tells_nothing(tmp_path):
     t = DT * np.arange(100)
     slow = FORCE * np.interp(t, [0.2, 0.6, 1.2], [0, 1, 0])[:, None]
     case = let_go(tmp_path / "c", [slow + 0.01 * np.random.default_rng(1).normal(size=(100, 3))])
-    assert timed_together(case)
+    assert timed_together(case, estimate_noise(case))
     held = tuple(replace(x, no_contact=np.zeros(100, dtype=bool)) for x in case.trajectories)
-    assert timed_together(replace(case, trajectories=held))
+    assert timed_together(replace(case, trajectories=held), estimate_noise(case))
