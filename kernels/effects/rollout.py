@@ -22,17 +22,16 @@ from ..lanes.real import SOURCE, fma, fnma, real, sqrt_, where_neg
 from ..tree.observe import locate_links
 from ..tree.rollout import Moment, between, look_ahead, share_of, write_gains, write_joints, write_point
 from .held import holder_of
+from .structs import PARAMETERS
 from .terms import (
     CALM,
     GROUPS,
     MOVING,
-    PARAMETERS,
     STILL,
     Term,
     aside,
     is_on,
     memory_row,
-    place_of,
     slot_of,
     step_of,
 )
@@ -224,11 +223,19 @@ def grip_of(grip: wp.array2d(dtype=wp.float64), j: int, c: int, like: Any):
 
 
 @wp.func
+def between_ends(x: Any, bottom: Any, top: Any):
+    """x inside an interval."""
+    y = where_neg(x - bottom, bottom, x)
+    return where_neg(top - y, top, y)
+
+
+@wp.func
 def slid(e: int, at: Slots, fx: Any, force: Any, axis: Any, grip: wp.array2d(dtype=wp.float64), j: int, h: Any):
     """Advance how far the grip has slid [m]: rate = a (n x + (1 - n) 1 N) sgn p towards the tip, inside the segment.
 
     The pull is p = (1 - s) |F| + s F_axis: the whole force's size, always towards one end, or its part along the
-    segment. It slides while the excess x = |p| - b - c F_peak is positive, F_peak the recording's largest force.
+    segment. It slides while the excess x = |p| - b - c F_peak is positive, F_peak the recording's largest force, and no
+    farther than the grip lets it, z in [-m, m].
     """
     first = at.slip * PARAMETERS * fx.stride
     a = fx.parameter[e, first]
@@ -243,10 +250,9 @@ def slid(e: int, at: Slots, fx: Any, force: Any, axis: Any, grip: wp.array2d(dty
     rate = where_neg(excess, o, a * fma(share, excess, one - share))
     rate = where_neg(pull, o - rate, rate)
     new = fma(rate, h, z.x)
-    bottom = real(grip[j, DOWN], o)
-    top = real(grip[j, UP], o)
-    new = where_neg(new - bottom, bottom, new)
-    new = where_neg(top - new, top, new)
+    most = fx.parameter[e, first + 6 * fx.stride]
+    new = between_ends(new, real(grip[j, DOWN], o), real(grip[j, UP], o))
+    new = between_ends(new, o - most, most)
     fx.memory[e, at.slip_row * fx.stride] = type(z)(new, (new - z.x) / h, z.z)
     return new
 
@@ -327,7 +333,7 @@ def hold_tip(e: int, row: int, slot: int, m: Any, fx: Any, s: Any):
     i = fx.tip
     mass = fx.parameter[e, slot * PARAMETERS * fx.stride]
     o = real(0.0, mass)
-    arm = place_of(fx.tip_point, s.r[row, i]) + aside(e, 0, slot, fx, s.r[row, i])
+    arm = fx.end[e, i] + aside(e, 0, slot, fx, s.r[row, i])
     place = s.accel[row, i] + rotate(s.pose[row, i], arm)
     lift = s.accel0[row, 0] * mass
     for k in range(1, m.count[e] + 1):

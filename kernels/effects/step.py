@@ -35,12 +35,11 @@ from ..tree.articulated import (
     skew,
 )
 from ..tree.momentum import HELD, PIVOTED, add_gravity, add_impulses, restore_momentum, sum_momentum
+from .structs import PARAMETERS, effect_types
 from .terms import (
-    PARAMETERS,
     Present,
     Term,
     aside,
-    effect_types,
     effective_damping,
     is_on,
     laws_of,
@@ -58,7 +57,7 @@ KINDS = ("joint", "link", "tip_mass")
 
 @cache
 def term_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
-    """Return the structs of `terms.effect_types` and ``Terms``.
+    """Return the structs of `structs.effect_types` and ``Terms``.
 
     Rows of ``value`` are parameters; ``source`` says in which column a lane's number stands, -1 where there is none.
     """
@@ -91,6 +90,8 @@ def term_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         area: wp.array2d(dtype=Real)
         centre: wp.array2d(dtype=Vec)
         end: wp.array2d(dtype=Vec)
+        crown: wp.array2d(dtype=Real)
+        leaf: wp.array2d(dtype=int)
         pose: wp.array2d(dtype=Quat)
         offset: wp.array2d(dtype=Vec)
         hold: wp.array2d(dtype=Vec)

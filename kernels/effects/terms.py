@@ -8,14 +8,15 @@ ones it is built with; the plain step (`articulated`) knows nothing of them.
            memory, stiffness beyond the joint's spring [N m/rad], damping [N m s/rad]; torque is without the damper's.
            A law that remembers two vectors gets a `LongResponse`, with ``second`` after ``memory``
 ``link``   ``law(b, p)`` takes a `LinkState` (``velocity`` of a point [m/s] and ``arm`` from the joint to it [m], world
-           axes; ``turn`` of the link; ``area`` [m^2], ``time`` [s]) and returns the force there, world axes [N]. It is
-           asked at two points with half of the link's area each, so that a link that turns feels what its length does
-           (`strips_of`)
+           axes; ``turn`` of the link; ``area``, ``crown`` [m^2], ``time`` [s]) and returns the force there, world
+           axes [N]. It is asked at two points with half of the link's area each, so that a link that turns feels what
+           its length does, and at the end of a link that carries no other with the area of the whole tree, divided
+           among such ends, as ``crown``, for what a crown feels there (`strips_of`)
 ``force``  ``law(g, p)`` takes a `ForceState` and returns the force that truly acts, from what the sensor recorded [N];
            ``opened`` is what it reads of an open gripper in the same recording [N], ``heading`` the level unit vector
            that the gripper faces, each zero where it is not known; ``time`` [s], zero at joints measured directly
 
-``p`` holds up to six parameters, ``p.a`` to ``p.f``, in the order in which the effect lists them. A ball joint's angle
+``p`` holds up to nine parameters, ``p.a`` to ``p.i``, in the order in which the effect lists them. A ball joint's angle
 is its rotation vector from rest and its rate the angular velocity, both in the link's frame; other joints use x alone.
 
 Worlds of a group whose parameters of a term are all neutral skip it (``active``), so that a kernel with every law in it
@@ -48,12 +49,9 @@ from ..tree.articulated import (
     place_root,
     skew,
 )
-from ..tree.layout import layout_of
+from .structs import PARAMETERS, effect_types
 
-__all__ = ["GROUPS", "PARAMETERS", "Present", "Term", "effect_types", "step_of"]
-
-#: Parameters that a term may have.
-PARAMETERS = 6
+__all__ = ["GROUPS", "Present", "Term", "step_of"]
 
 #: What follows the terms in ``active``: whether any term of a kind is on, any damage, any law that holds a branch off
 #: its rest, any law that has acted before a recording begins, and any load to rest under.
@@ -139,122 +137,6 @@ def memory_row(terms: tuple[Term, ...], slot: int) -> int:
     return sum(term.memory for term in terms if term.slot < slot)
 
 
-@cache
-def law_types(width: int, precision: int) -> SimpleNamespace:
-    """Return the structs that laws take and return, of one width and precision."""
-    t = layout_of(width, precision)
-    Real, Vec, Quat = t.Real, t.Vec, t.Quat
-
-    @wp.struct
-    class Parameters:
-        """Parameters of a law, in the order of its registry entry."""
-
-        a: Real
-        b: Real
-        c: Real
-        d: Real
-        e: Real
-        f: Real
-
-    @wp.struct
-    class JointState:
-        """What a law at a joint sees; ``preload`` is the present torque of the pre-load that carries the weight."""
-
-        angle: Vec
-        rate: Vec
-        preload: Vec
-        stiffness: Real
-        time: Real
-        step: Real
-
-    @wp.struct
-    class Response:
-        """What a law answers: effort, damper and memory."""
-
-        torque: Vec
-        memory: Vec
-        stiffness: Real
-        damping: Real
-
-    @wp.struct
-    class LongResponse:
-        """A response with two memories."""
-
-        torque: Vec
-        memory: Vec
-        second: Vec
-        stiffness: Real
-        damping: Real
-
-    return SimpleNamespace(Parameters=Parameters, JointState=JointState, Response=Response, LongResponse=LongResponse,
-                           **vars(_outer_law_types(Real, Vec, Quat)))  # fmt: skip
-
-
-def _outer_law_types(Real: Any, Vec: Any, Quat: Any) -> SimpleNamespace:
-    """Structs of laws at links and of the sensor."""
-
-    @wp.struct
-    class LinkState:
-        """What a law at a link sees."""
-
-        velocity: Vec
-        arm: Vec
-        turn: Quat
-        area: Real
-        time: Real
-
-    @wp.struct
-    class Wrench:
-        """Force and moment."""
-
-        force: Vec
-        moment: Vec
-
-    @wp.struct
-    class ForceState:
-        """What a law of the force sensor sees."""
-
-        force: Vec
-        contact: Real
-        turn: Quat
-        first: Quat
-        gravity: Vec
-        opened: Vec
-        heading: Vec
-        time: Real
-
-    return SimpleNamespace(LinkState=LinkState, Wrench=Wrench, ForceState=ForceState)
-
-
-@cache
-def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
-    """Return the structs of `kernels.tree.layout`, those of laws, and ``Effects``, of one width and precision."""
-    t = layout_of(width, precision)
-    Real, Vec = t.Real, t.Vec
-
-    @wp.struct
-    class Effects:
-        """Arrays of a replay's effects."""
-
-        parameter: wp.array2d(dtype=Real)
-        memory: wp.array2d(dtype=Vec)
-        damping: wp.array2d(dtype=Real)
-        effort: wp.array2d(dtype=Vec)
-        hold: wp.array2d(dtype=Vec)
-        wind: wp.array2d(dtype=Vec)
-        swirl: wp.array2d(dtype=Vec)
-        active: wp.array2d(dtype=int)
-        area: wp.array2d(dtype=Real)
-        centre: wp.array2d(dtype=Vec)
-        settle: wp.array(dtype=Real)
-        lag: wp.array2d(dtype=int)
-        tip: int
-        tip_point: wp.array(dtype=wp.float64)
-        stride: int
-
-    return SimpleNamespace(**vars(t), **vars(law_types(width, precision)), Effects=Effects)
-
-
 # ---- laws: one function for all terms of a kind, each of which acts where ``active`` says so -------------------------
 #
 # ``for _ in range(active)`` runs 0 times or once. An ``if`` would do the same and copy what it may change, on each pass
@@ -272,12 +154,13 @@ def reader(term: Term, types: SimpleNamespace, key: str) -> Any:
     first, own, Parameters = term.slot * PARAMETERS, int(term.per_joint), types.Parameters
 
     def read(e: int, i: int, fx: Any):
-        """Return the term's parameters a to f in group e, those of joint or link i where each has its own."""
+        """Return the term's parameters a to i in group e, those of joint or link i where each has its own."""
         k = first * fx.stride + i * own
         n = fx.stride
         return Parameters(
             fx.parameter[e, k], fx.parameter[e, k + n], fx.parameter[e, k + 2 * n], fx.parameter[e, k + 3 * n],
-            fx.parameter[e, k + 4 * n], fx.parameter[e, k + 5 * n],
+            fx.parameter[e, k + 4 * n], fx.parameter[e, k + 5 * n], fx.parameter[e, k + 6 * n],
+            fx.parameter[e, k + 7 * n], fx.parameter[e, k + 8 * n],
         )  # fmt: skip
 
     return function_of(read, term, f"read{key}")
@@ -401,23 +284,29 @@ def strips_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
     """Return the device function of the laws at a link: their force, and its moment about the joint, world axes.
 
     Strip theory: force per length is integrated along the link by Gauss's two points, exact for cubics. The link
-    reaches from its joint to twice its centre of area.
+    reaches from its joint to twice its centre of area. What the crown feels at a ``leaf`` link's end is added.
     """
     law, LinkState, Wrench = laws_of("link", terms, types, key), types.LinkState, types.Wrench
 
     def strips(e: int, row: int, i: int, m: Any, fx: Any, s: Any, time: Any):
-        """Return force [N] and moment about the joint [N m] of the laws on link i, from Gauss's two points."""
+        """Return force [N] and moment about the joint [N m] of the laws on link i: Gauss's two points and its end."""
         pose = s.pose[row, i]
         middle = rotate(pose, fx.centre[e, i])
         velocity = centre_velocity(e, row, i, m, s, middle)
         half = fx.area[e, i] * real(0.5, time)
         away = middle * real(STRIP, time)
         spin = s.spin[row, i]
-        far = LinkState(add_cross(velocity, spin, away), middle + away, pose, half, time)
-        near = LinkState(add_cross(velocity, away, spin), middle - away, pose, half, time)
+        o = real(0.0, time)
+        far = LinkState(add_cross(velocity, spin, away), middle + away, pose, half, o, time)
+        near = LinkState(add_cross(velocity, away, spin), middle - away, pose, half, o, time)
         outer = law(e, i, fx, far)
         inner = law(e, i, fx, near)
-        return Wrench(outer + inner, add_cross(cross(far.arm, outer), near.arm, inner))
+        sofar = Wrench(outer + inner, add_cross(cross(far.arm, outer), near.arm, inner))
+        for _ in range(fx.leaf[e, i]):
+            end = rotate(pose, fx.end[e, i])
+            hung = law(e, i, fx, LinkState(add_cross(velocity, spin, end - middle), end, pose, o, fx.crown[e, i], time))
+            sofar = Wrench(sofar.force + hung, add_cross(sofar.moment, end, hung))
+        return sofar
 
     return wp.func(strips, name=f"strips_{key}")
 
@@ -498,12 +387,6 @@ def centre_velocity(e: int, row: int, i: int, m: Any, s: Any, arm: Any):
     return add_cross(v, s.spin[row, i], arm)
 
 
-@wp.func(inline=True)
-def place_of(point: wp.array(dtype=wp.float64), like: Any):
-    """A point that all worlds share, of the type of ``like``."""
-    return type(like)(real(point[0], like.x), real(point[1], like.x), real(point[2], like.x))
-
-
 @wp.func
 def aside(e: int, i: int, slot: int, fx: Any, like: Any):
     """Where the mass at link i's end hangs beside the end, in the link's axes, of the type of ``like``."""
@@ -556,7 +439,7 @@ def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float6
         if at.tip >= 0:
             if i == fx.tip:
                 extra = fx.parameter[e, at.tip * PARAMETERS * fx.stride]
-                arm = rotate(pose, place_of(fx.tip_point, mc) + aside(e, 0, at.tip, fx, mc))
+                arm = rotate(pose, fx.end[e, i] + aside(e, 0, at.tip, fx, mc))
                 A = A + skew_square(arm, A) * extra
                 mass = mass + extra
                 mc = mc + arm * extra

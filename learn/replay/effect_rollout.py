@@ -10,7 +10,8 @@ import torch
 import warp as wp
 
 from ...kernels.effects.rollout import effect_rollout_kernels
-from ...kernels.effects.terms import GROUPS, PARAMETERS, acts, effect_types, memory_row
+from ...kernels.effects.structs import PARAMETERS, effect_types
+from ...kernels.effects.terms import GROUPS, acts, memory_row
 from ...sim.base.errors import InputError
 from ...sim.base.rotation import quat_rotate
 from ...sim.base.types import Array
@@ -44,13 +45,13 @@ class EffectArrays:
             FIELD: m.field("Real", places=count * PARAMETERS * stride),
             "memory": m.field("Vec", places=max(1, vectors * stride)),
             "settle": m.field("Real", places=1),
-            **{name: m.field("Vec") for name in ("effort", "hold", "wind", "swirl", "centre")},
-            **{name: m.field("Real") for name in ("damping", "area")},
+            **{name: m.field("Vec") for name in ("effort", "hold", "wind", "swirl", "centre", "end")},
+            **{name: m.field("Real") for name in ("damping", "area", "crown")},
         }
         self.kernel = effect_types(m.width, m.precision).Effects()
         self.kernel.parameter = self.arrays[FIELD].kernel
         self.kernel.settle = self.arrays["settle"].column()
-        for name in ("memory", "effort", "hold", "wind", "swirl", "centre", "damping", "area"):
+        for name in ("memory", "effort", "hold", "wind", "swirl", "centre", "end", "damping", "area", "crown"):
             setattr(self.kernel, name, self.arrays[name].kernel)
         self.kernel.stride = stride
         self.kernel.active = wp.zeros((m.groups, count + len(GROUPS)), dtype=int, device=m.device)
@@ -61,14 +62,18 @@ class EffectArrays:
         self._areas(rollout)
 
     def _tip(self, rollout: ReplayWorlds) -> None:
-        """Put the mass of `tip_mass` at the upper end of the last link."""
+        """Put the mass of `tip_mass`, and the crown, at the upper end of the last link."""
         m, system = rollout.model, rollout.system
         last = system.tree.num_links - 1
         self.kernel.tip = int(m.link_place[last])
-        point = np.zeros(3)
+        leaf = np.zeros((m.groups, m.places + 1), dtype=np.int32)
         if isinstance(system, BranchSystem):
-            point = m.links.in_link_frame(last, np.array([0.0, 0.0, system.branch.length[-1]]))
-        self.kernel.tip_point = wp.array(point, dtype=wp.float64, device=m.device)
+            branch = system.branch
+            leaf[:, self.kernel.tip] = 1
+            end = m.links.in_link_frame(last, np.array([0.0, 0.0, branch.length[-1]]))
+            self.arrays["end"].torch[:, :, self.kernel.tip] = torch.as_tensor(end).to(self.arrays["end"].torch)
+            self.arrays["crown"].torch[:, :, self.kernel.tip, 0] = float((branch.length * branch.radius.sum(1)).sum())
+        self.kernel.leaf = wp.array(leaf, dtype=int, device=m.device)
 
     def _areas(self, rollout: ReplayWorlds) -> None:
         """Give every segment its projected area, length times mean diameter, and the centre of that trapezium."""

@@ -1,4 +1,4 @@
 """The systems that cases describe (branches, joints, mechanisms) and their unknown parameters.
 
-Uses: `sim.base`, `sim.effects`, `sim.trees`, `sim.engine`, `sim.formats`, `sim.wood`, `learn.cases`.
+Uses: `kernels.effects`, `sim.base`, `sim.effects`, `sim.trees`, `sim.engine`, `sim.formats`, `sim.wood`, `learn.cases`.
 """

@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 import torch
 
+from ...kernels.effects.structs import PARAMETERS
 from ...sim.base.errors import InputError
 from ...sim.base.types import Array
 from ...sim.effects import Effect, EffectParameter, Law, Setting, effect_of, effects, in_setting
@@ -92,7 +93,7 @@ class ActingSet:
             setting = settings[a.joint or 0]
             for n, spec in enumerate(self.laws[a.name].parameters):
                 known = a.known.get(spec.name)
-                self.entries.append(Entry(6 * self.names.index(a.name) + n, a.joint, spec, known))
+                self.entries.append(Entry(PARAMETERS * self.names.index(a.name) + n, a.joint, spec, known))
                 if known is None:
                     found.append(parameter_of(a, spec, setting))
         self.parameters = tuple(found)
@@ -127,10 +128,10 @@ class ActingSet:
 
     def neutral(self) -> list[float]:
         """Return the neutral value of each of the array's rows; rows that no parameter uses are zero."""
-        out = [0.0] * (6 * len(self.names))
+        out = [0.0] * (PARAMETERS * len(self.names))
         for n, name in enumerate(self.names):
             for k, spec in enumerate(effect_of(name).law(self.form).parameters):
-                out[6 * n + k] = spec.neutral
+                out[PARAMETERS * n + k] = spec.neutral
         return out
 
     def values(self, columns: torch.Tensor) -> list[torch.Tensor]:
@@ -156,8 +157,8 @@ class ActingSet:
 
     def _rests(self, entry: Entry) -> int:
         """Return how a branch rests elsewhere where an entry is not neutral: a load, or the share of what remembers."""
-        law = self.laws[self.names[entry.place // 6]]
-        return 2 if entry.spec.name in law.settles else int(law.persistent and entry.place % 6 == 0)
+        law = self.laws[self.names[entry.place // PARAMETERS]]
+        return 2 if entry.spec.name in law.settles else int(law.persistent and entry.place % PARAMETERS == 0)
 
     def switched_on(self, columns: torch.Tensor) -> torch.Tensor:
         """Return whether some parameter of each effect is not neutral, [sets, names]; a trunk's plane is a law."""
@@ -167,7 +168,7 @@ class ActingSet:
 
     def _switches(self, entry: Entry) -> int:
         """Return the place among the names of the law that an entry switches on."""
-        own = self.names[entry.place // 6]
+        own = self.names[entry.place // PARAMETERS]
         return self.names.index(TRUNK_BENDS if (own, entry.spec.name) == ("base_compliance", "relative") else own)
 
     def _changed(self, columns: torch.Tensor) -> torch.Tensor:
@@ -179,7 +180,8 @@ class ActingSet:
 
     def place(self, name: str, parameter: str) -> int:
         """Return where a parameter's row of joints begins in the array, in units of its stride."""
-        return 6 * self.names.index(name) + [p.name for p in effect_of(name).law(self.form).parameters].index(parameter)
+        own = [p.name for p in effect_of(name).law(self.form).parameters]
+        return PARAMETERS * self.names.index(name) + own.index(parameter)
 
     def value(self, name: str, parameter: str, columns: torch.Tensor) -> torch.Tensor:
         """Return a parameter of an effect that acts once, [sets]."""

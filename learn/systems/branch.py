@@ -16,7 +16,7 @@ from ...sim.trees.measured import MeasuredBranch, axis_rotation, measured_tree
 from ..cases.case import BranchCase
 from . import weight
 from .acting import Acting, ActingSet, branch_settings
-from .pivot import on_pivot, write_pivot
+from .pivot import BELOW, SLIDES, on_pivot, write_pivot
 from .system import Parameter, Write, bounded
 
 Kind = Literal["stiffness", "damping", "density", "rest_angle"]
@@ -59,7 +59,7 @@ class BranchSystem:
         parameters: Unknowns, base first.
         substep: Longest step [s].
         acting: Effects that act.
-        first: Link of the first segment: 0, or 1 above the link that `base_compliance` adds.
+        first: Link of the first segment: 0, or the one above those that `base_compliance` adds.
     """
 
     YOUNG = (1e6, 1e11)
@@ -84,7 +84,7 @@ class BranchSystem:
         self.acting = ActingSet(effects, "branch", settings, branch.name)
         self.parameters = bounded([*found, *self.acting.parameters], self.unknowns.box)
         self.tree = measured_tree(branch, spring, spring * self.TYPICAL_RELAXATION, self.unknowns.joints)
-        self.first = int(self.acting.has("base_compliance"))
+        self.first = len(BELOW) if self.acting.has("base_compliance") else 0
         if self.first:
             self.tree = on_pivot(self.tree, self._pivot(branch), branch.gravity)
 
@@ -178,7 +178,8 @@ class BranchSystem:
         if self.first:  # the pivot below carries the same moment: its own arm is along the weight
             below = weight.rotate(world[:, 0], held[:, 0])
             for c in range(3):
-                write("preload", int(model.link_place[0]), c, below[:, c])
+                write("preload", int(model.link_place[SLIDES]), c, below[:, c])
+            write("preload", int(model.link_place[SLIDES - 1]), 0, mass.sum(1) * self.branch.gravity)
         held = weight.rotate(weight.conjugate(frame), held)
         if self.unknowns.joints == "revolute":
             held = torch.nn.functional.pad((held * fixed(links.axis[self.first :])).sum(-1, keepdim=True), (0, 2))

@@ -10,8 +10,18 @@ from .registry import EffectParameter
 
 #: Largest pressure of wind on wood [Pa]: 0.6 v^2 at 70 m/s, a hurricane of category 5 (Simpson 1974, Weatherwise 27).
 STORM = 3000.0
+#: Share of the area that hangs at the tip, as a crown's leaves do, in the place of along the wood.
+CROWN = EffectParameter("crown", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True)
+#: How little a wind outruns the wood: one over the speed of the air, so that a segment that moves feels another wind.
+SLOWNESS = EffectParameter("slowness_spm", "s/m", 0.0, lambda s: 3.0 / s.speed, tries=lambda s: [0.0], optional=True)
 #: Share of a flow that counts only as far as it is across a segment (cross-flow principle).
 ACROSS = EffectParameter("across", "1", 0.0, 1.0, tries=2, optional=True)
+
+
+@wp.func
+def felt(b: Any, k: Any):
+    """Area of a point of a link [m^2] where the share k of the whole hangs at the tip."""
+    return fma(k, b.crown - b.area, b.area)
 
 
 @wp.func

@@ -5,6 +5,9 @@ from itertools import product
 
 from .registry import Effect, EffectParameter, Law, Setting, register
 
+#: Farthest slide of a grip that nothing but the segment's ends stops [m].
+ENDLESS = 100.0
+
 
 def _ways(s: Setting) -> list[float]:
     """Mobilities that a search looks at [m/(N s)]."""
@@ -12,10 +15,13 @@ def _ways(s: Setting) -> list[float]:
 
 
 def _further(s: Setting) -> Sequence[tuple[float, ...]]:
-    """Grips that slide where the force along the segment points, and such that the tracker does not see slide."""
+    """Grips that slide where the force along the segment points, that the tracker does not see slide, or that jerk."""
     towards_tip, least = _ways(s)[3:], [b * s.force for b in (0.05, 0.12, 0.3)]
     along = product(towards_tip, least, [0.0], [1.0], [1.0], [1.0, 0.0])
-    return [*along, *product(_ways(s), least, [0.0], [1.0], [0.0], [0.0])]
+    unseen = product(_ways(s), least, [0.0], [1.0], [0.0], [0.0])
+    fast, ends = (_ways(s)[0], _ways(s)[-1]), [m * s.length for m in (0.02, 0.05, 0.15)]
+    jerks = product(fast, [b * s.force for b in (0.1, 0.3, 0.6)], [0.0], [1.0], [0.0], [1.0], ends)
+    return [*((*slide, s.length) for slide in (*along, *unseen)), *jerks]
 
 
 EFFECT = register(
@@ -25,9 +31,9 @@ EFFECT = register(
         summary="beyond a least force, part of which may be a share of the recording's largest one, the grip slides"
         " along the segment, towards its tip at a rate of mobility times the excess (towards the base where negative),"
         " or, as far as it is not viscous, at the rate of 1 N of excess; as far as it is axial, only the force along"
-        " the segment counts, and it slides where that points; inside the segment's ends; the"
-        " tracker sees the share seen of the slide, all where it follows the gripper, none where it follows a mark on"
-        " the wood; it holds the marked point again in the next recording",
+        " the segment counts, and it slides where that points; inside the segment's ends and no farther than most_m;"
+        " the tracker sees the share seen of the slide, all where it follows the gripper, none where it follows a mark"
+        " on the wood; it holds the marked point again in the next recording",
         source="Bingham 1922 (yield, then viscous flow); Coulomb 1785 (force that does not grow with the rate);"
         " displacement is that of the point that is held, or of the mark",
         signature="displacement drifts along the segment while the force is held, and stays away after the release",
@@ -49,6 +55,16 @@ EFFECT = register(
                 EffectParameter("viscous", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0, 0.0], optional=True),
                 EffectParameter("axial", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True),
                 EffectParameter("seen", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0], optional=True),
+                EffectParameter(
+                    "most_m",
+                    "m",
+                    lambda s: 0.003 * s.length,
+                    lambda s: s.length,
+                    neutral=ENDLESS,
+                    scale="log",
+                    tries=lambda s: [s.length],
+                    optional=True,
+                ),
             ),
             further=_further,
             per_joint=False,

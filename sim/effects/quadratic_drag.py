@@ -11,7 +11,7 @@ import warp as wp
 
 from ...kernels.lanes.algebra import add, div, dot, mul, rotate, size, sub, unrotate
 from ...kernels.lanes.real import real, sqrt_
-from .flow import ACROSS, across
+from .flow import ACROSS, CROWN, across, felt
 from .registry import Effect, EffectParameter, Law, register
 
 
@@ -19,14 +19,15 @@ from .registry import Effect, EffectParameter, Law, register
 def drag_on_link(b: Any, p: Any):
     """F = -c A |u| u, u = v - m (v.d) d: the share m of what moves along the segment d does not count.
 
-    Of it the share s is felt along each axis of the segment by itself, as by the faces of a box: -c A |u_k| u_k.
+    Of it the share s is felt along each axis of the segment by itself, as by the faces of a box: -c A |u_k| u_k. The
+    share k of the area hangs at the tip.
     """
     o = real(0.0, p.a)
     u = across(b.velocity, b.arm, p.b)
     own = unrotate(b.turn, u)
     faces = type(u)(own.x * size(own.x), own.y * size(own.y), own.z * size(own.z))
     whole = u * ((real(1.0, o) - p.c) * sqrt_(dot(u, u)))
-    return (whole + rotate(b.turn, faces) * p.c) * (o - p.a * b.area)
+    return (whole + rotate(b.turn, faces) * p.c) * (o - p.a * felt(b, p.d))
 
 
 @wp.func
@@ -40,8 +41,8 @@ EFFECT = register(
         name="quadratic_drag",
         plain="air drag",
         summary="a force -c |v| v per projected area all along every segment; the share m of the motion counts only as"
-        " far as it is across the segment, and a share of the force may act along each axis of the segment by itself;"
-        " at a measured joint a torque -c |w| w",
+        " far as it is across the segment, a share of the force may act along each axis of the segment by itself, and"
+        " the share crown of the area may hang at the tip; at a measured joint a torque -c |w| w",
         source="Rayleigh 1876; Batchelor, An Introduction to Fluid Dynamics (1967), section 5.11; Hoerner,"
         " Fluid-Dynamic Drag (1965), 3-11 (cross-flow principle)",
         signature="large swings decay faster than small ones: 1 / amplitude grows linearly in time",
@@ -60,6 +61,7 @@ EFFECT = register(
                 ),
                 ACROSS,
                 EffectParameter("separate", "1", 0.0, 1.0, tries=1, optional=True),
+                CROWN,
             ),
             drag_on_link,
             per_joint=False,

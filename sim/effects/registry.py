@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from ...kernels.effects.terms import PARAMETERS, Term
+from ...kernels.effects.structs import PARAMETERS
+from ...kernels.effects.terms import Term
 from ..base.errors import InputError
 
 Kind = Literal["joint", "link", "force", "time_delay", "grasp_slip", "tip_mass", "base_compliance"]

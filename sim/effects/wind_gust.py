@@ -4,9 +4,9 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.lanes.algebra import add, div, mul, sub
-from ...kernels.lanes.real import cos_root, fma, fnma, real, round_, sin_ratio
-from .flow import ACROSS, STORM
+from ...kernels.lanes.algebra import add, div, mul, norm, size, sub
+from ...kernels.lanes.real import cos_root, fma, fnma, real, round_, sin_ratio, sqrt_, where_neg
+from .flow import ACROSS, CROWN, SLOWNESS, STORM
 from .registry import Effect, EffectParameter, Law, register
 from .steady_wind import pressed
 
@@ -14,8 +14,19 @@ PI = wp.constant(wp.float64(3.141592653589793))
 
 
 @wp.func
+def amplitudes(p: Any, like: Any):
+    """Largest pressures along x and y; the sign of that along y says whether both swing together or against another."""
+    y = sqrt_(fma(p.c, p.c, p.d * p.d))
+    o = real(0.0, y)
+    return type(like)(sqrt_(fma(p.a, p.a, p.b * p.b)), where_neg(fma(p.a, p.c, p.b * p.d), o - y, y), o)
+
+
+@wp.func
 def wind_gust(b: Any, p: Any):
-    """F of the pressure s sin 2 pi f t + c cos 2 pi f t, horizontal, t on the absolute clock, by half angles."""
+    """F of the pressure s sin 2 pi f t + c cos 2 pi f t + g M, horizontal, t on the absolute clock, by half angles.
+
+    M are the largest of the pressures that swing, and 1 + |g| times M the largest of all.
+    """
     cycles = p.e * b.time
     half = (cycles - round_(cycles)) * real(PI, cycles)
     u = half * half
@@ -25,7 +36,9 @@ def wind_gust(b: Any, p: Any):
     double_cosine = fnma(sine + sine, sine, real(1.0, u))
     x = fma(p.b, double_cosine, p.a * double_sine)
     y = fma(p.d, double_cosine, p.c * double_sine)
-    return pressed(type(b.velocity)(x, y, real(0.0, u)), b, p.f)
+    most = amplitudes(p, b.velocity)
+    q = type(b.velocity)(x, y, real(0.0, u)) + most * p.g
+    return pressed(q, norm(most) * (real(1.0, u) + size(p.g)), b, p.f, p.h, p.i)
 
 
 def _pressure(name: str) -> EffectParameter:
@@ -37,8 +50,10 @@ EFFECT = register(
     Effect(
         name="wind_gust",
         plain="gusts of wind",
-        summary="a horizontal force on every segment that oscillates at one frequency on the absolute clock; of the"
-        " share m of the air only what flows across the segment counts",
+        summary="a horizontal force on every segment that oscillates at one frequency on the absolute clock,"
+        " about mean times its largest value; of the share m of the air only what flows across the segment counts, a"
+        " segment that moves feels another wind as far as the air is slow, and the share crown of the area may hang at"
+        " the tip",
         source="Davenport 1961, Q. J. R. Meteorol. Soc. 87:194 (one component of the gust spectrum)",
         signature="the open gripper sees the branch sway; replicates differ by their phase on the clock",
         mistaken_for=("steady_wind",),
@@ -58,11 +73,15 @@ EFFECT = register(
                     reach=lambda s: 0.25 / (s.end - s.start),
                 ),
                 ACROSS,
+                EffectParameter("mean", "1", -1.5, 1.5, optional=True),
+                SLOWNESS,
+                CROWN,
             ),
             wind_gust,
             per_joint=False,
             precedes=True,
             active=True,
+            strengths=tuple(f"{wave}_{axis}_Pa" for axis in "xy" for wave in ("sine", "cosine")),
         ),
     )
 )

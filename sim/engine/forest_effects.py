@@ -12,7 +12,8 @@ import torch
 import warp as wp
 
 from ...kernels.effects.step import KINDS, term_kernels, term_types
-from ...kernels.effects.terms import PARAMETERS, Term, memory_row
+from ...kernels.effects.structs import PARAMETERS
+from ...kernels.effects.terms import Term, memory_row
 from ...kernels.tree.reset import reset_kernels
 from ..base.errors import InputError
 from ..base.types import Array, IntArray
@@ -158,7 +159,7 @@ class ForestEffects(Mapping[str, Mapping[str, torch.Tensor]]):
     def _allocate(self) -> None:
         """Make the kernels' struct: what is known of the links, the lanes' parameters, memories, working memory."""
         m, stride = self.model, self.model.places + 1
-        kinds = {"area": "Real", "centre": "Vec", "end": "Vec", "pose": "Quat", "offset": "Vec"}
+        kinds = {"area": "Real", "crown": "Real", "centre": "Vec", "end": "Vec", "pose": "Quat", "offset": "Vec"}
         self._fields = {name: m.field(kind) for name, kind in kinds.items()}
         self._fields["parameter"] = m.field("Real", places=len(self.terms) * PARAMETERS * stride)
         self._fields["memory"] = m.field("Vec", places=max(1, memory_row(self.terms, len(self.terms)) * stride))
@@ -240,12 +241,15 @@ class ForestEffects(Mapping[str, Mapping[str, torch.Tensor]]):
         self._slot = torch.as_tensor(m.world_slot, device=clock.torch.device)
 
     def _fill_outlines(self) -> None:
-        """Give every link its area, the area's centre and its end, in link frames."""
+        """Give every link its area, the area's centre, its end, in link frames, and its share of the crown."""
         m, found = self.model, outlines(self.model.trees)
         every = np.arange(len(found.area))
         self._assign("area", found.area)
         self._assign("centre", m.links.in_link_frame(every, found.centre))
         self._assign("end", m.links.in_link_frame(every, found.end))
+        self._assign("crown", found.crown)
+        leaf: IntArray = np.asarray(m.scatter(found.crown, [0.0]) > 0.0, dtype=np.int32)
+        self.kernel.leaf = wp.array(leaf.reshape(m.groups, m.width, -1).max(1), dtype=int, device=m.device)
 
     def _assign(self, name: str, values: Array) -> None:
         field = self._fields[name]

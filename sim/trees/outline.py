@@ -20,18 +20,20 @@ class Outline:
         centre: Centre of that area [m], shape [N, 3]; the joint's anchor where there is none.
         end: End of a capsule's axis that is furthest from the joint [m], shape [N, 3]; the centre of mass of a link
             without a capsule.
+        crown: For a link that carries no other its share of the whole tree's area [m^2], else zero, shape [N].
     """
 
     area: Array
     centre: Array
     end: Array
+    crown: Array
 
 
 def outlines(trees: Sequence[Tree]) -> Outline:
     """Return the outlines of all links of all trees."""
     known = {id(tree): outline(tree) for tree in {id(t): t for t in trees}.values()}
     found = [known[id(tree)] for tree in trees]
-    return Outline(*(np.concatenate([getattr(o, name) for o in found]) for name in ("area", "centre", "end")))
+    return Outline(*(np.concatenate([getattr(o, name) for o in found]) for name in ("area", "centre", "end", "crown")))
 
 
 def outline(tree: Tree) -> Outline:
@@ -44,7 +46,8 @@ def outline(tree: Tree) -> Outline:
     np.add.at(area, link, size)
     np.add.at(centre, link, size[:, None] * (tree.shape_start + share[:, None] * along))
     centre = np.divide(centre, area[:, None], out=tree.anchor.copy(), where=area[:, None] > 0)
-    return Outline(area, centre, _ends(tree))
+    leaf = ~np.isin(np.arange(tree.num_links), tree.parent)
+    return Outline(area, centre, _ends(tree), np.where(leaf, area.sum() / max(leaf.sum(), 1), 0.0))
 
 
 def _ends(tree: Tree) -> Array:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import warp as wp
-from bough.kernels.effects.terms import PARAMETERS, effect_types
+from bough.kernels.effects.structs import effect_types
 
 _T = effect_types(1, 32)
 _JointState, _Response, _Parameters, _Vec = _T.JointState, _T.Response, _T.Parameters, _T.Vec
@@ -25,14 +25,14 @@ def turner(law):
             if k > 0:
                 rate = path_in[k] - path_in[k - 1]
             j = _JointState(none, _Vec(rate[0], rate[1], rate[2]), none, 1.0, 0.0, 1.0)
-            r = law(j, _Parameters(a, b, c, d, e, f), _Response(none, z, 0.0, 0.0))
+            r = law(j, _Parameters(a, b, c, d, e, f, 0.0, 0.0, 0.0), _Response(none, z, 0.0, 0.0))
             z = r.memory
             torque_out[k] = wp.vec3(r.torque.x, r.torque.y, r.torque.z) - r.damping * rate
 
     def turned(path, *parameters):
         given = wp.array(path, dtype=wp.vec3, device="cpu")
         out = wp.full(len(path), wp.vec3(np.nan, np.nan, np.nan), dtype=wp.vec3, device="cpu")
-        rest = [0.0] * (PARAMETERS - len(parameters))
+        rest = [0.0] * (6 - len(parameters))
         wp.launch(turn, dim=1, inputs=[given, *parameters, *rest], outputs=[out], device="cpu")
         return out.numpy()
 

@@ -4,6 +4,7 @@ import pytest
 import warp as wp
 from bough.kernels.effects.rollout import effect_rollout_kernels
 from bough.kernels.effects.step import term_kernels
+from bough.kernels.effects.structs import PARAMETERS
 from bough.kernels.effects.terms import Term
 from bough.learn.systems.acting import Acting, ActingSet
 from bough.sim.effects import Setting, effects, terms_of
@@ -63,5 +64,5 @@ def test_one_kernel_serves_any_choice_of_effects():
     assert effect_rollout_kernels(16, 32, terms_of(one.names, "branch")) is effect_rollout_kernels(
         16, 32, terms_of(two.names, "branch")
     )
-    assert list(one.laws) == ["dry_friction"] and len(one.neutral()) == 6 * len(one.names)
+    assert list(one.laws) == ["dry_friction"] and len(one.neutral()) == PARAMETERS * len(one.names)
     assert not one.persists and not one.settles and ActingSet([], "branch", [setting]).names == ()

@@ -103,3 +103,17 @@ def test_grasp_slip_needs_its_least_force(tmp_path):
     case = stick_case(tmp_path / "c", [held(60), held(60, -FORCE)])
     on = {"mobility_mpNs": -1.0, "least_N": 1.001 * np.linalg.norm(FORCE)}
     assert (stick(case, grasp_slip=on) == stick(case)).all()
+
+
+@pytest.mark.parametrize("mobility", [20.0, -20.0])
+def test_a_grip_may_jerk_and_hold_again(tmp_path, mobility):
+    """Slide at once when the force reaches its least, by ``most_m`` and no farther, and be held there from then on."""
+    most, least = 0.03, 2.0
+    case = stick_case(tmp_path / "c", [held(200)])
+    out = stick(case, grasp_slip={"mobility_mpNs": mobility, "least_N": least, "most_m": most})[0]
+    at = 0.4 + np.copysign(most, mobility)
+    expected = resting(case, lambda phi: -KS * phi, lambda R: FORCE, point=at, seen=at)
+    np.testing.assert_allclose(settled(out), expected, atol=1e-4)
+    t = case.trajectories[0].t
+    early = t < 0.1 + 0.4 * least / np.linalg.norm(FORCE)  # the force rises from 0.1 to 0.5 s
+    assert (out[early] == stick(case)[0][early]).all()

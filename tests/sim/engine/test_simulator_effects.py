@@ -20,6 +20,7 @@ from bough.sim.trees.stiffness import hold_rest_pose
 from bough.sim.trees.tree import Joint, Tree
 from oracles.effect_case import simulate
 from oracles.random_tree import random_qpos, random_tree
+from oracles.rods import AREA, BEND, LENGTH, RADIUS, D, H, J, K, W, simulator, stick
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root
 from scipy.spatial.transform import Rotation
@@ -28,34 +29,6 @@ ALL = tuple(forest_laws())
 BALLS = ("anisotropic_stiffness", "bending_torsion_coupling")  # bend about an axis across a segment: no hinge has one
 HINGED = tuple(name for name in ALL if name not in BALLS)
 MIXED = (Joint.SPHERICAL, Joint.REVOLUTE, Joint.PRISMATIC, Joint.FIXED)
-
-J, K, D = 2.0, 80.0, 1e-3
-W = np.sqrt(K / J)
-H = 1e-3  # first order, so that amplitudes are right to W H / 2 = 0.3 %
-BEND = 5e-4  # what dry friction bends by before it slips [rad]
-LENGTH, RADIUS = 1.0, 0.05
-AREA = 2 * RADIUS * LENGTH
-
-
-def stick(joint=Joint.REVOLUTE, *, stiffness=K, damping=D, mass=1.0, axis=(0.0, 1.0, 0.0)) -> Tree:
-    """Make one rod of 1 m along z on a joint at its lower end, of inertia J about it, or of a mass on a slide."""
-    return Tree(
-        name="stick", link_name=["stick"], parent=[-1], joint=[joint], axis=[axis], position=np.zeros((1, 3)),
-        rotation=[[1.0, 0, 0, 0]], mass=[mass], com=np.zeros((1, 3)), inertia=[J * np.eye(3)], stiffness=[stiffness],
-        damping=[damping], shape_link=[0], shape_start=np.zeros((1, 3)), shape_end=[[0.0, 0.0, LENGTH]],
-        shape_radius=[[RADIUS, RADIUS]],
-    )  # fmt: skip
-
-
-def simulator(trees, names, *, dt=H, gravity=0.0, precision=64, width=None, **values) -> Simulator:
-    """Make a simulator with effects; ``values`` are {parameter: one number, or one a world} by effect."""
-    out = Simulator(Model(trees, precision=precision, width=width, gravity=(0, 0, -gravity)), dt=dt, effects=names)
-    for name, given in values.items():
-        for parameter, value in given.items():
-            tensor = out.effects[name][parameter]
-            column = torch.as_tensor(value, dtype=tensor.dtype)
-            tensor.copy_(column[:, None] if column.ndim and tensor.ndim == 2 else column)
-    return out
 
 
 def begin(sim: Simulator, qpos) -> Simulator:

@@ -14,7 +14,7 @@ from bough.sim.view.living import Living, Planted
 from bough.sim.view.page import open_page
 from bough.sim.view.show import Loop, export
 from oracles.chromium import Chromium, chromium_or_skip
-from oracles.shown_rod import rod, slider
+from oracles.rods import rod, slider
 
 
 @pytest.fixture(scope="module")

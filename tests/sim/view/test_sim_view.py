@@ -18,7 +18,7 @@ from bough.sim.view.living import Living, Planted
 from bough.sim.view.page import open_page
 from bough.sim.view.recorded import Recorded
 from bough.sim.view.wood import Wood
-from oracles.shown_rod import rod, slider
+from oracles.rods import rod, slider
 
 
 @pytest.fixture
