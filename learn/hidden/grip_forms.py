@@ -162,6 +162,27 @@ def dragged(rng: Random, scale: Scale, joint: int) -> Draft:
     return _slide(scale, rate, 1.0, limit_N=limit)
 
 
+def jerking(rng: Random, scale: Scale, joint: int) -> Draft:
+    """Draw a grip that jerks once, when the force reaches a limit, and holds again.
+
+    The strength is the way over the segment's length; it takes 30 ms.
+    """
+    limit, end, towards = float(rng.uniform(0.2, 0.6)) * scale.force, scale.branch.length[-1], _way(rng)
+    room = 0.9 * scale.branch.grasp_distance if towards < 0.0 else 0.98 * end - scale.branch.grasp_distance
+
+    def rate(force: Array, axis: Array) -> Array:
+        """Return 1 N where |F| is beyond the limit, else 0, of forces [N, 3]."""
+        return np.asarray(np.sqrt((force**2).sum(axis=1)) > limit, dtype=np.float64)
+
+    def make(strength: float) -> Part:
+        """Return a slide by strength x length [m], towards the tip or the base, within the segment."""
+        way = min(strength * end, room)
+        return Part({"way_m": towards * way, "limit_N": limit},
+                    law=lambda: Slide(towards * way / 0.03, 0.0, 0.0, (way, way), rate))  # fmt: skip
+
+    return Draft(make, 0.002, 0.03, 0.5)
+
+
 # ---- force_bias, force_scale, time_delay, gravity_comp_error -------------------------------------------------------
 
 
@@ -298,7 +319,13 @@ def late_pose(rng: Random, scale: Scale, joint: int) -> Draft:
 FORMS = {
     "base_compliance": {"deep": deep, "bending": bending, "damped": damped},
     "tip_mass": {"off_axis": off_axis, "twig": twig},
-    "grasp_slip": {"threshold": threshold, "creeping": creeping, "rubbing": rubbing, "dragged": dragged},
+    "grasp_slip": {
+        "threshold": threshold,
+        "creeping": creeping,
+        "rubbing": rubbing,
+        "dragged": dragged,
+        "jerking": jerking,
+    },
     "force_bias": {"warming": warming, "rezeroed": rezeroed},
     "force_scale": {"per_axis": per_axis, "curved": curved},
     "time_delay": {"low_pass": low_pass, "unsteady": unsteady},

@@ -351,6 +351,15 @@ def test_grips_slide_at_their_rates() -> None:
     limit = part("grasp_slip", "dragged", 0.5).params["limit_N"]
     assert speed("dragged", along) == pytest.approx(6.0 - limit) == -speed("dragged", -along)
     assert speed("dragged", across) == 0.0
+    jerk = part("grasp_slip", "jerking", 0.02).params
+    law, held.force = part("grasp_slip", "jerking", 0.02).law(), 0.99 * jerk["limit_N"] / 6.0 * across
+    law.begin(held)
+    for size, way in ((0.99, 0.0), (1.01, jerk["way_m"]), (0.5, jerk["way_m"])):
+        held.force = size * jerk["limit_N"] / 6.0 * across
+        for _ in range(round(0.04 / STEP)):
+            law.act(held)
+        assert law.slide[0] == pytest.approx(way) and (size > 1.0 or law.speed[0] == 0.0)
+    held.couple = np.zeros((1, 3))
     weight = part("grasp_slip", "rubbing", 0.5).params["weight"]
     assert speed("rubbing", along) - speed("rubbing", across) == pytest.approx(6.0 * weight)
 

@@ -117,6 +117,11 @@ def test_base_compliance_equals_a_chain_of_two(tmp_path, twist):
     assert np.abs(ours - plain).max() > 0.1 * np.abs(plain).max()
 
 
+def jerks(force, axis):
+    """Return 1 N where the force is larger than that."""
+    return np.asarray(np.linalg.norm(force, axis=1) > 1.0, dtype=np.float64)
+
+
 def test_a_trunk_that_slides_is_a_chain_on_three_slides(tmp_path):
     """Move as MuJoCo does where a stick's base slides along x, y and z as well, and hangs by its weight no lower."""
     case, slide, lasts = stick_case(tmp_path / "c", [push()]), 4e-3, 0.05
@@ -161,6 +166,20 @@ def test_a_dragged_grip_is_the_hidden_simulators(tmp_path):
     assert way[:, 2].min() < -2e-3 and way[:, 2].max() > 2e-3
     close((ours - plain)[:, :3], way)
     close((ours - plain)[:, 3:], (wanted.velocity - held.velocity)[0])
+
+
+def test_a_jerking_grip_is_the_hidden_simulators(tmp_path):
+    """Slide by 4 cm within 20 ms of the force's reaching 1 N, and be held there, as MuJoCo does with such a grip."""
+    force = push(2.0)
+    case = stick_case(tmp_path / "c", [force])
+    law = Part({}, law=lambda: Slide(-2.0, 0.0, 0.0, (0.04, 0.04), jerks))
+    wanted, held = (drive(ROD, force[None], 1 / DT, parts=parts, wood=0.0, dt=5e-4) for parts in ([law], []))
+    slips = {"mobility_mpNs": -2.0, "least_N": 1.0, "least_share": 0.0, "viscous": 0.0, "most_m": 0.04}
+    ours, plain = (simulate(case, KS, DS, form="branch", without=("base_compliance",), **on)[0]
+                   for on in ({"grasp_slip": slips}, {}))  # fmt: skip
+    way = (wanted.moved - held.moved)[0]
+    assert np.linalg.norm(way, axis=1).max() > 0.03
+    close((ours - plain)[:, :3], way)
 
 
 def test_a_rupture_with_its_preload_is_the_hidden_simulators(tmp_path):
