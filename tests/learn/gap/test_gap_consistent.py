@@ -260,6 +260,16 @@ def test_what_is_said_of_each_kind(cases, numbers, verdict, words) -> None:
     assert found.verdict_file()["not_understood"] == list(found.not_understood)
 
 
+@pytest.mark.parametrize(("repaired", "verdict"), [(0.03, "effects"), (0.0314, "effects"), (0.0330, "unknown")])
+def test_wrong_geometry_excuses_an_error_that_stays_and_none_that_grows(repaired, verdict):
+    """Keep a name that predicts better beside the nuisances while the model as written is no worse by a twentieth."""
+    found = consistent(replace(made(CASES, NAMED | {"repaired": repaired}), ahead=True))
+    assert found.verdict == verdict
+    said = {"effects": "beside geometry and mountings", "unknown": f"grows from 0.03 m to {repaired:.3g} m"}
+    assert said[verdict] in found.sentence
+    assert consistent(made(CASES, NAMED | {"repaired": repaired})).verdict == "unknown"
+
+
 @pytest.mark.parametrize(
     ("ratio", "share", "verdict"),
     [(1.5, 0.09, "unknown"), (1.5, 0.009, "none"), (1.3, 0.2, "none"), (2.5, 0.01, "unknown")],

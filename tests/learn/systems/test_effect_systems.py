@@ -146,6 +146,19 @@ def test_a_trunk_that_slides_is_a_chain_on_three_slides(tmp_path):
     assert np.abs(ours - held).max() > 0.1 * np.abs(held).max()
 
 
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_a_trunk_that_gives_way_holds_a_branch_of_any_density(tmp_path, share):
+    """Rest in the given pose, whatever a branch weighs: slides and pivot carry what it does."""
+    case = stick_case(tmp_path / "c", [0.0 * push()])
+    unknowns = Unknowns(infer=("stiffness", "damping", "density"), effects=(Acting("base_compliance"),))
+    rollout = Rollout(case, recordings(case), 1, unknowns=unknowns)
+    rollout._output.torch.fill_(torch.nan)
+    values = [KS, DS, share * case.density, 0.05, 0.08, 0.03, 1.0, 0.0, 0.0, 0.02, 0.05]
+    assert len(values) == len(rollout.system.parameters)
+    found = rollout(torch.tensor([values]))[0, 0, :, :3].double().numpy()
+    np.testing.assert_allclose(found, 0.0, atol=1e-5)  # float32; the weight alone would sink it by 0.02 m/N x 1.5 N
+
+
 def along(force, axis):
     """Return the excess over 0.2 N of the force along a segment, with its sign."""
     pull = (force * axis).sum(axis=1)
