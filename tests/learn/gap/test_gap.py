@@ -333,6 +333,13 @@ def test_a_spring_that_pulls_one_way_must_explain_nearly_all():
         assert known(fitted, fitted.models[0]) is claimed
 
 
+def test_two_effects_of_a_branch_must_explain_nearly_all():
+    """Claim two that leave noise or explain 0.97 of the excess, none that explain 0.96, where one would be claimed."""
+    for left, claimed in ((1100, True), (1240, True), (1320, False)):
+        fitted = field_of({(0, 2): left, (0,): left}, base=9000.0)
+        assert known(fitted, fitted.models[0]) is claimed and known(fitted, fitted.models[1])
+
+
 def test_one_law_at_two_joints_must_explain_nearly_all():
     """Claim friction at two joints of a branch where it leaves next to nothing, not where it leaves a twentieth."""
     for left, claimed in ((1040, True), (1100, False)):
