@@ -49,10 +49,12 @@ from .terms import (
     strips_of,
 )
 
-__all__ = ["KINDS", "term_functions", "term_kernels", "term_types", "time_of"]
+__all__ = ["FLAGS", "KINDS", "term_functions", "term_kernels", "term_types", "time_of"]
 
 #: Kinds of terms that a free step knows; ``active`` holds a flag for each behind those of the terms.
 KINDS = ("joint", "link", "tip_mass")
+#: All flags: those, and whether any world has a crown that feels the air.
+FLAGS = (*KINDS, "crown")
 
 
 @cache
@@ -111,7 +113,7 @@ def _taking(t: SimpleNamespace, count: int, key: str) -> Any:
     It is made per width: Warp unrolls loops over lanes only where their number is a constant of the function, and a
     launch of a single step then takes two thirds of the time.
     """
-    Scalar, W, flags = t.Scalar, t.width, count + len(KINDS)
+    Scalar, W, flags = t.Scalar, t.width, count + len(FLAGS)
 
     def take(e: int, m: Any, fx: Any, duration: wp.float64):
         """Take over what was written, mark the terms that any world uses, and move the clocks on by ``duration``."""
@@ -287,7 +289,8 @@ def term_functions(width: int, precision: int, terms: tuple[Term, ...]) -> Simpl
     """
     t, count = term_types(width, precision), len(terms)
     key = f"free_{width}_{precision}_" + "_".join(f"{term.name}_{term.kind}" for term in terms)
-    strain, strips = strain_of(laws_of("joint", terms, t, key), t, key), strips_of(terms, t, key)
+    strain = strain_of(laws_of("joint", terms, t, key), t, key)
+    strips = strips_of(terms, t, key, count + FLAGS.index("crown"))
     kinds = [term.kind for term in terms]
     at_joint, at_link = (count + KINDS.index(kind) if kind in kinds else -1 for kind in ("joint", "link"))
     take, tip = _taking(t, count, key), slot_of(terms, "tip_mass")

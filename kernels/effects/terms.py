@@ -54,8 +54,8 @@ from .structs import PARAMETERS, effect_types
 __all__ = ["GROUPS", "Present", "Term", "step_of"]
 
 #: What follows the terms in ``active``: whether any term of a kind is on, any damage, any law that holds a branch off
-#: its rest, any law that has acted before a recording begins, and any load to rest under.
-GROUPS = ("joint", "link", "lasting", "holding", "preceding", "resting")
+#: its rest, any law that has acted before a recording begins, any load to rest under, and any crown that feels the air.
+GROUPS = ("joint", "link", "lasting", "holding", "preceding", "resting", "crowned")
 
 #: Least damper of a ball joint over its stiffness, in steps.
 LEAST_DAMPER = wp.constant(wp.float64(0.6))
@@ -280,11 +280,12 @@ def laws_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: str
     return wp.func({"joint": joint, "link": link, "force": force}[kind], name=f"{kind}_{key}")
 
 
-def strips_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
+def strips_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str, crowned: int) -> Any:
     """Return the device function of the laws at a link: their force, and its moment about the joint, world axes.
 
     Strip theory: force per length is integrated along the link by Gauss's two points, exact for cubics. The link
-    reaches from its joint to twice its centre of area. What the crown feels at a ``leaf`` link's end is added.
+    reaches from its joint to twice its centre of area. What the crown feels at a ``leaf`` link's end is added
+    where place ``crowned`` of ``active`` says that some world has one.
     """
     law, LinkState, Wrench = laws_of("link", terms, types, key), types.LinkState, types.Wrench
 
@@ -302,7 +303,7 @@ def strips_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
         outer = law(e, i, fx, far)
         inner = law(e, i, fx, near)
         sofar = Wrench(outer + inner, add_cross(cross(far.arm, outer), near.arm, inner))
-        for _ in range(fx.leaf[e, i]):
+        for _ in range(fx.leaf[e, i] * fx.active[e, wp.static(crowned)]):
             end = rotate(pose, fx.end[e, i])
             hung = law(e, i, fx, LinkState(add_cross(velocity, spin, end - middle), end, pose, o, fx.crown[e, i], time))
             sofar = Wrench(sofar.force + hung, add_cross(sofar.moment, end, hung))
@@ -459,7 +460,7 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
     t = effect_types(width, precision)
     key = f"{width}_{precision}_" + "_".join(term.name for term in terms)
     joint, force = laws_of("joint", terms, t, key), laws_of("force", terms, t, key)
-    strain, strips = strain_of(joint, t, key), strips_of(terms, t, key)
+    strain, strips = strain_of(joint, t, key), strips_of(terms, t, key, len(terms) + GROUPS.index("crowned"))
     at_joint, at_link = (group_place(terms, kind) for kind in ("joint", "link"))
     tip = slot_of(terms, "tip_mass")
 

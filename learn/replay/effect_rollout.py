@@ -108,7 +108,7 @@ class EffectArrays:
         of_kind = ([acts(x, "joint") for x in terms], [acts(x, "link") for x in terms], [x.persistent for x in terms],
                    [x.holds is not None for x in terms], [x.precedes for x in terms])  # fmt: skip
         kinds = [(on & torch.tensor(k, device=on.device)).any(1, keepdim=True) for k in of_kind]
-        sets = torch.cat([on, *kinds, marks[:, None] != 0.0], 1)
+        sets = torch.cat([on, *kinds, marks[:, None] != 0.0, acting.changes("crown", columns)[:, None]], 1)
         groups = sets.view(rollout.blocks, rollout.model.width, -1).any(1)
         active = wp.to_torch(self.kernel.active).view(-1, *groups.shape)
         active.copy_(groups.expand_as(active))

@@ -166,6 +166,11 @@ class ActingSet:
         counts = columns.new_zeros(len(columns), len(self.names), dtype=torch.long)
         return counts.index_add_(1, of, self._changed(columns).long()) > 0
 
+    def changes(self, parameter: str, columns: torch.Tensor) -> torch.Tensor:
+        """Return whether some effect's parameter of a name is not neutral, [sets]."""
+        own = [n for n, entry in enumerate(self.entries) if entry.spec.name == parameter]
+        return self._changed(columns)[:, own].any(1)
+
     def _switches(self, entry: Entry) -> int:
         """Return the place among the names of the law that an entry switches on."""
         own = self.names[entry.place // PARAMETERS]

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from ...kernels.effects.step import KINDS, term_kernels, term_types
+from ...kernels.effects.step import FLAGS, KINDS, term_kernels, term_types
 from ...kernels.effects.structs import PARAMETERS
 from ...kernels.effects.terms import Term, memory_row
 from ...kernels.tree.reset import reset_kernels
@@ -169,7 +169,7 @@ class ForestEffects(Mapping[str, Mapping[str, torch.Tensor]]):
         for name, field in self._fields.items():
             setattr(self.kernel, name, field.kernel)
         self.kernel.entry, self.kernel.stride = self._fields["parameter"].entries(), stride
-        self.kernel.active = wp.zeros((m.groups, len(self.terms) + len(KINDS)), dtype=int, device=m.device)
+        self.kernel.active = wp.zeros((m.groups, len(self.terms) + len(FLAGS)), dtype=int, device=m.device)
         self._effective = m.field("Real")
         memory = self._fields["memory"]
         self._memories.append((memory, m.field("Vec", places=memory.kernel.shape[1])))
@@ -184,7 +184,7 @@ class ForestEffects(Mapping[str, Mapping[str, torch.Tensor]]):
         rows, device = self._rows, m.device
         for name, numbers in {
             "term": [r.slot for r in rows],
-            "kind": [KINDS.index(r.kind) for r in rows],
+            "kind": [FLAGS.index("crown" if r.spec.name == "crown" else r.kind) for r in rows],
             "target": [r.slot * PARAMETERS + r.number for r in rows],
             "own": [int(r.per_link) for r in rows],
             "balls": [int(r.at_hinges is not None) for r in rows],
