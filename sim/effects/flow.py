@@ -12,8 +12,9 @@ from .registry import EffectParameter
 STORM = 3000.0
 #: Share of the area that hangs at the tip, as a crown's leaves do, in the place of along the wood.
 CROWN = EffectParameter("crown", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True)
-#: How little a wind outruns the wood: one over the speed of the air, so that a segment that moves feels another wind.
-SLOWNESS = EffectParameter("slowness_spm", "s/m", 0.0, lambda s: 3.0 / s.speed, tries=lambda s: [0.0], optional=True)
+#: How little a wind outruns the wood: one over the speed of the air, so that a segment that moves feels another wind. A
+#: slower one than three times the fastest grasp point is drag: a faint wind of next to no speed is c |v| v.
+SLOWNESS = EffectParameter("slowness_spm", "s/m", 0.0, lambda s: 0.3 / s.speed, tries=lambda s: [0.0], optional=True)
 #: Share of a flow that counts only as far as it is across a segment (cross-flow principle).
 ACROSS = EffectParameter("across", "1", 0.0, 1.0, tries=2, optional=True)
 

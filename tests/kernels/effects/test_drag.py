@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import warp as wp
 from bough.kernels.effects.structs import effect_types
-from bough.sim.effects import effect_of
+from bough.learn.laws.bench import SETTING, ask_link
+from bough.sim.effects import effect_of, in_setting
 from scipy.spatial.transform import Rotation
 
 T = effect_types(1, 32)
@@ -57,3 +58,15 @@ def test_motion_along_a_segment_is_free_where_only_the_flow_across_counts():
     assert np.abs(forces(along, turn, 1.0, 0.0)).max() < 1e-6 * C * AREA * 4.0
     np.testing.assert_allclose(forces(along, turn, 0.0, 0.0), -C * AREA * 2.0 * along, rtol=1e-5)
     assert np.all(forces(0.0 * along, turn, 0.5, 0.5) == 0.0)
+
+
+@pytest.mark.parametrize("name", ["steady_wind", "wind_gust"])
+def test_no_wind_is_so_slow_that_it_is_drag(name):
+    """Blow the way it blows on whatever moves as fast as was seen: (1 -+ 0.3)^2 of the force on a segment at rest."""
+    law = effect_of(name).branch
+    slow = next(in_setting(p.high, SETTING) for p in law.parameters if p.name == "slowness_spm")
+    given = {"pressure_x_Pa": 5.0, "cosine_x_Pa": 5.0, "slowness_spm": slow}
+    values = [given.get(p.name, 0.0) for p in law.parameters]
+    speeds = SETTING.speed * np.array([0.0, 1.0, -1.0])
+    force = ask_link(law, values, np.stack([speeds, 0.0 * speeds, 0.0 * speeds], axis=-1)[None])[0]
+    np.testing.assert_allclose(force[1:, 0] / force[0, 0], [0.49, 1.69], rtol=1e-9)
