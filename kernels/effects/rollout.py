@@ -533,7 +533,8 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
     Model, State, Load, Scratch, Real, Quat = t.Model, t.State, t.Load, t.Scratch, t.Real, t.Quat
     Effects, ForceState = t.Effects, t.ForceState
     tip, slip, delay = (slot_of(terms, kind) for kind in ("tip_mass", "grasp_slip", "time_delay"))
-    lasting, holding, preceding, resting = (len(terms) + GROUPS.index(k) for k in GROUPS[2:6])
+    marked = ("lasting", "holding", "preceding", "resting")
+    lasting, holding, preceding, resting = (len(terms) + GROUPS.index(k) for k in marked)
     slip_row, delay_row = (memory_row(terms, max(0, slot)) for slot in (slip, delay))
 
     @wp.kernel(enable_backward=False, module="unique")

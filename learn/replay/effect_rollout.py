@@ -62,31 +62,30 @@ class EffectArrays:
         self._areas(rollout)
 
     def _tip(self, rollout: ReplayWorlds) -> None:
-        """Put the mass of `tip_mass`, and the crown, at the upper end of the last link."""
+        """Put what hangs at the tip, a mass or a crown, at the upper end of the last link."""
         m, system = rollout.model, rollout.system
         last = system.tree.num_links - 1
         self.kernel.tip = int(m.link_place[last])
         leaf = np.zeros((m.groups, m.places + 1), dtype=np.int32)
         if isinstance(system, BranchSystem):
-            branch = system.branch
             leaf[:, self.kernel.tip] = 1
-            end = m.links.in_link_frame(last, np.array([0.0, 0.0, branch.length[-1]]))
+            end = m.links.in_link_frame(last, np.array([0.0, 0.0, system.branch.length[-1]]))
             self.arrays["end"].torch[:, :, self.kernel.tip] = torch.as_tensor(end).to(self.arrays["end"].torch)
-            self.arrays["crown"].torch[:, :, self.kernel.tip, 0] = float((branch.length * branch.radius.sum(1)).sum())
         self.kernel.leaf = wp.array(leaf, dtype=int, device=m.device)
 
     def _areas(self, rollout: ReplayWorlds) -> None:
-        """Give every segment its projected area, length times mean diameter, and the centre of that trapezium."""
+        """Give every segment its projected area, a trapezium, and that one's centre, and the crown all of the areas."""
         m, system = rollout.model, rollout.system
         if not isinstance(system, BranchSystem):
             return
         branch = system.branch
         a, b = branch.radius[:, 0], branch.radius[:, 1]
-        height = branch.length * (a + 2.0 * b) / (3.0 * (a + b))
+        area, height = branch.length * (a + b), branch.length * (a + 2.0 * b) / (3.0 * (a + b))
+        self.arrays["crown"].torch[:, :, self.kernel.tip, 0] = float(area.sum())
         for i in range(branch.num_segments):
             place, link = int(m.link_place[system.first + i]), system.first + i
             local = m.links.in_link_frame(link, np.array([0.0, 0.0, height[i]]))
-            self.arrays["area"].torch[:, :, place, 0] = float(branch.length[i] * (a[i] + b[i]))
+            self.arrays["area"].torch[:, :, place, 0] = float(area[i])
             self.arrays["centre"].torch[:, :, place] = torch.as_tensor(local).to(self.arrays["centre"].torch)
 
     def track(self, rollout: ReplayWorlds) -> LaneArray:

@@ -24,6 +24,19 @@ def stick(joint=Joint.REVOLUTE, *, stiffness=K, damping=D, mass=1.0, axis=(0.0, 
     )  # fmt: skip
 
 
+def forked(taper: float) -> tuple[Tree, np.ndarray, np.ndarray]:
+    """Make a stem with two branches on hinges; return it, lengths and lower radii [m], of which upper are ``taper``."""
+    length, radius = np.array([LENGTH, 0.6, 0.4]), np.array([RADIUS, 0.02, 0.015])
+    fork = Tree(
+        name="fork", link_name=["stem", "left", "right"], parent=[-1, 0, 0], joint=[Joint.REVOLUTE] * 3,
+        axis=[[0.0, 1.0, 0.0]] * 3, position=[[0, 0, 0], [0, 0, LENGTH], [0, 0, LENGTH]],
+        rotation=[[1.0, 0, 0, 0]] * 3, mass=[1.0, 0.2, 0.1], com=np.zeros((3, 3)), inertia=[0.05 * np.eye(3)] * 3,
+        stiffness=[60.0, 15.0, 9.0], damping=[8.0, 2.0, 1.0], shape_link=[0, 1, 2], shape_start=np.zeros((3, 3)),
+        shape_end=np.outer(length, [0.0, 0.0, 1.0]), shape_radius=np.stack([radius, taper * radius], axis=1),
+    )  # fmt: skip
+    return fork, length, radius
+
+
 def simulator(trees, names, *, dt=H, gravity=0.0, precision=64, width=None, **values) -> Simulator:
     """Make a simulator with effects; ``values`` are {parameter: one number, or one a world} by effect."""
     out = Simulator(Model(trees, precision=precision, width=width, gravity=(0, 0, -gravity)), dt=dt, effects=names)

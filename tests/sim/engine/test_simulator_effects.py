@@ -20,7 +20,7 @@ from bough.sim.trees.stiffness import hold_rest_pose
 from bough.sim.trees.tree import Joint, Tree
 from oracles.effect_case import simulate
 from oracles.random_tree import random_qpos, random_tree
-from oracles.rods import AREA, BEND, LENGTH, RADIUS, D, H, J, K, W, simulator, stick
+from oracles.rods import AREA, BEND, LENGTH, D, H, J, K, W, forked, simulator, stick
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root
 from scipy.spatial.transform import Rotation
@@ -117,14 +117,7 @@ def test_steady_wind_bends_joints_of_every_kind():
 def test_wind_bends_a_fork():
     """Rest where the moments of the wind on a stem and its two branches balance the hinges' springs."""
     stem = stick(stiffness=60.0, damping=8.0)
-    length, radius = np.array([LENGTH, 0.6, 0.4]), np.array([RADIUS, 0.02, 0.015])
-    fork = Tree(
-        name="fork", link_name=["stem", "left", "right"], parent=[-1, 0, 0], joint=[Joint.REVOLUTE] * 3,
-        axis=[[0.0, 1.0, 0.0]] * 3, position=[[0, 0, 0], [0, 0, LENGTH], [0, 0, LENGTH]],
-        rotation=[[1.0, 0, 0, 0]] * 3, mass=[1.0, 0.2, 0.1], com=np.zeros((3, 3)), inertia=[0.05 * np.eye(3)] * 3,
-        stiffness=[60.0, 15.0, 9.0], damping=[8.0, 2.0, 1.0], shape_link=[0, 1, 2], shape_start=np.zeros((3, 3)),
-        shape_end=np.outer(length, [0.0, 0.0, 1.0]), shape_radius=np.stack([radius, 0.5 * radius], axis=1),
-    )  # fmt: skip
+    fork, length, radius = forked(0.5)
     q, area = 250.0, length * 1.5 * radius
     centre = length * (radius + radius) / (3 * 1.5 * radius)  # of a trapezium: L (a + 2 b) / (3 (a + b))
 

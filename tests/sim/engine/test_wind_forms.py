@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from bough.sim.trees.tree import Joint, Tree
-from oracles.rods import AREA, LENGTH, RADIUS, H, simulator, stick
+from bough.sim.trees.tree import Joint
+from oracles.rods import AREA, LENGTH, H, forked, simulator, stick
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root
 
@@ -31,14 +31,7 @@ def test_a_crown_catches_the_wind_at_the_tip(crown):
 
 def test_the_ends_of_a_tree_share_its_crown():
     """Rest where half of the tree's area catches the wind at each end of two twigs, and none at the stem."""
-    length, radius = np.array([LENGTH, 0.6, 0.4]), np.array([RADIUS, 0.02, 0.015])
-    fork = Tree(
-        name="fork", link_name=["stem", "left", "right"], parent=[-1, 0, 0], joint=[Joint.REVOLUTE] * 3,
-        axis=[[0.0, 1.0, 0.0]] * 3, position=[[0, 0, 0], [0, 0, LENGTH], [0, 0, LENGTH]],
-        rotation=[[1.0, 0, 0, 0]] * 3, mass=[1.0, 0.2, 0.1], com=np.zeros((3, 3)), inertia=[0.05 * np.eye(3)] * 3,
-        stiffness=[60.0, 15.0, 9.0], damping=[8.0, 2.0, 1.0], shape_link=[0, 1, 2], shape_start=np.zeros((3, 3)),
-        shape_end=np.outer(length, [0.0, 0.0, 1.0]), shape_radius=np.stack([radius, radius], axis=1),
-    )  # fmt: skip
+    fork, length, radius = forked(1.0)
     push = 50.0 * (2 * length * radius).sum() / 2
 
     def moments(p):
