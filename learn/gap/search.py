@@ -91,7 +91,7 @@ def _searched(base: Base, evidence: Evidence, run: Run) -> Searched:
     fitted, evidence = _first_level(base, evidence, run)
     with run.timed("fits"):
         fitted_again(fitted, 1)
-        fitted.models += moved(fitted.contest, fitted.of_size(1)[:2])
+        fitted.models += moved(fitted.contest, fitted.of_size(1)[:LEADERS])
         fitted.models += taken_for(fitted, 1)
         fitted.models += mirrored(fitted.contest, fitted.of_size(1)[:LEADERS])
         if fitted.needs_more(fitted.best):

@@ -19,11 +19,16 @@ def ramp(x: Any, w: Any):
 
 @wp.func
 def bilinear_stiffness(j: Any, p: Any, r: Any):
-    """tau = -rel K ramp(phi . n) n with n = (cos psi, sin psi, 0) across the segment."""
+    """tau = -rel K (ramp(phi . n - s) - ramp(-s)) n with n = (cos psi, sin psi, 0) across the segment.
+
+    The corner lies at s, d from rest, where the spring is the softer one beyond it: s = d for rel < 0, -d for rel > 0.
+    """
     o = real(0.0, p.a)
     n = type(r.torque)(cos_root(p.b * p.b), sin_ratio(p.b * p.b) * p.b, o)
     k = p.a * j.stiffness
-    return type(r)(n * (o - k * ramp(dot(j.angle, n), p.c)), r.memory, where_neg(k, o, k), o)
+    s = where_neg(p.a, p.d, o - p.d)
+    bent = ramp(dot(j.angle, n) - s, p.c) - ramp(o - s, p.c)
+    return type(r)(n * (o - k * bent), r.memory, where_neg(k, o, k), o)
 
 
 @wp.func
@@ -39,34 +44,38 @@ def other_side(values: Sequence[float]) -> tuple[Sequence[float], float]:
 
     Across that axis the one has K both ways and the other K (1 + rel).
     """
-    relative, axis, corner = values
+    relative, axis, corner, off = values
     turned = axis + math.pi if axis < math.pi else axis - math.pi
-    return (-relative / (1.0 + relative), turned, corner), 1.0 + relative
+    return (-relative / (1.0 + relative), turned, corner, off), 1.0 + relative
 
 
 _REL = EffectParameter("relative", "1", -0.9, 3.0)
 _CORNER = EffectParameter(
     "corner_rad", "rad", lambda s: 1e-3 * s.angle, lambda s: s.angle, neutral=0.005, scale="log", tries=2, optional=True
 )
-#: In a branch. A corner at an angle from rest is left out: a cord that is slack at rest would pass for it.
+#: In a branch.
 _WIDTH = EffectParameter(
     "corner_rad", "rad", 1e-4, lambda s: max(0.05, 0.5 * s.angle), 0.005, "log", 0.005, tries=lambda s: [0.005],
     optional=True,
 )  # fmt: skip
+#: How far the spring goes on from rest as it is at rest before it softens. It does not stiffen from an angle on: a cord
+#: that is slack at rest would pass for that.
+_OFF = EffectParameter("off_rad", "rad", 0.0, lambda s: 0.7 * s.angle, tries=lambda s: [0.0], optional=True)
 
 EFFECT = register(
     Effect(
         name="bilinear_stiffness",
         plain="a spring that is stiffer one way than the other",
         summary="stiffness K (1 + rel) where the joint bends one way about an axis across the segment, K the other way;"
-        " the change is gradual over a corner",
+        " the change is gradual over a corner, which in a branch may lie at an angle d from rest, where the spring"
+        " softens",
         source="Shaw & Holmes 1983, J. Sound Vib. 90:129; corner rounded",
         signature="pushes to the two sides differ in stiffness; releases swing with unequal half periods",
         mistaken_for=("cubic_stiffness", "anisotropic_stiffness", "backlash"),
         probe="the same push and release in opposite directions, in two planes",
         branch=Law(
             "joint",
-            (_REL, axis_parameter(circle=True, tries=8), _WIDTH),
+            (_REL, axis_parameter(circle=True, tries=8), _WIDTH, _OFF),
             bilinear_stiffness,
             mirror=other_side,
         ),

@@ -318,22 +318,26 @@ def test_a_second_effect_may_do_no_harm_where_it_was_not_fitted(gains, fitted, b
 
 @pytest.mark.parametrize("relative", [-0.57, -0.2, 0.8, 2.5])
 def test_a_spring_told_from_its_other_side_is_the_same_in_its_plane(relative):
-    """K (1 + rel) one way and K the other, at +-0.1 rad about the axis; at right angles K, and then K (1 + rel)."""
+    """K (1 + rel) one way and K the other, at +-0.1 rad about the axis; at right angles K, and then K (1 + rel).
+
+    The corner is 0.03 rad from rest, towards the softer side.
+    """
 
     def torque(stiffness, values, turn):
         relative, axis = values
         along = turn[0] * math.cos(axis) + turn[1] * math.sin(axis)
-        push = stiffness * relative * max(along, 0.0)
+        corner = 0.03 if relative < 0.0 else -0.03
+        push = stiffness * relative * (max(along - corner, 0.0) - max(-corner, 0.0))
         return np.array([stiffness * turn[0] + push * math.cos(axis), stiffness * turn[1] + push * math.sin(axis)])
 
-    (turned, other, corner), factor = other_side((relative, 1.2, 0.01))
-    assert corner == 0.01
+    (turned, other, corner, off), factor = other_side((relative, 1.2, 0.01, 0.03))
+    assert (corner, off) == (0.01, 0.03)
     for sign in (1.0, -1.0):
         turn = 0.1 * sign * np.array([math.cos(1.2), math.sin(1.2)])
         np.testing.assert_allclose(torque(10.0 * factor, (turned, other), turn), torque(10.0, (relative, 1.2), turn))
     across = 0.1 * np.array([-math.sin(1.2), math.cos(1.2)])
     np.testing.assert_allclose(torque(10.0 * factor, (turned, other), across), (1.0 + relative) * 10.0 * across)
-    (again, axis, _), back = other_side((turned, other, 0.01))
+    (again, axis, _, _), back = other_side((turned, other, 0.01, 0.03))
     np.testing.assert_allclose([again, axis % (2.0 * math.pi), factor * back], [relative, 1.2, 1.0])
 
 
@@ -348,7 +352,7 @@ def test_a_fit_on_the_wrong_side_is_led_to_the_other(branch):
     one, two = names.index("bilinear_stiffness"), names.index("anisotropic_stiffness")
     truth = activated(contest, contest.base_batch(1), [(one,)])
     truth.free[0, list(contest.candidates[one].columns)] = torch.tensor(
-        [-0.57, 1.2, math.log(0.005)], dtype=torch.float64
+        [-0.57, 1.2, math.log(0.005), 0.0], dtype=torch.float64
     )
     contest.measured = contest.simulate(contest.values(truth), truth.start)[0].double()
     begun = activated(contest, _mirrored(contest, truth, one), [(one, two)])
@@ -360,8 +364,30 @@ def test_a_fit_on_the_wrong_side_is_led_to_the_other(branch):
     only = fit(contest, activated(contest, _mirrored(contest, truth, one), [(one,)]), 24)
     assert single.chi2 < 1e-3 * contest.num_samples < float(only.chi2[0])
     values = contest.values(single.fit.batch)[0, list(contest.candidates[one].columns)]
-    np.testing.assert_allclose(values, [-0.57, 1.2, 0.005], atol=0.01)
+    np.testing.assert_allclose(values, [-0.57, 1.2, 0.005, 0.0], atol=0.01)
     assert mirrored(contest, [Model((two,), astray)]) == []  # an anisotropic spring has no other side
+
+
+@pytest.mark.parametrize("share", [None, 0.04])
+def test_dahls_friction_is_no_hysteresis(branch, share):
+    """Fit friction that bends by 0.2 mrad, or by a twenty-fifth of the motion, to a tenth of the noise.
+
+    Bouc and Wen's spring and slider leaves more. Once friction had to bend by 0.5 mrad at least and by three hundredths
+    of the motion at most, and the slider, which had not, was named.
+    """
+    contest = Contest(branch, recordings(branch), np.full(6, 1e-3), ("dry_friction", "hysteresis_boucwen"))
+    names = [c.name for c in contest.candidates]
+    own = list(contest.candidates[names.index("dry_friction")].columns)
+    truth = activated(contest, contest.base_batch(1), [(names.index("dry_friction"),)])
+    moved = contest.typical[own].clone()
+    bend = math.log(2e-4) if share is None else float(contest.high[own[1]]) + math.log(share / 0.06)
+    moved[1:3] = torch.tensor([bend, 1.0], dtype=torch.float64)
+    truth.free[0, own] = moved
+    contest.measured = contest.simulate(contest.values(truth), truth.start)[0].double()
+    begun = activated(contest, contest.base_batch(2), [(k,) for k in range(2)])
+    begun.free[:, contest.num_base :] = contest.typical[contest.num_base :]
+    left = fit(contest, begun, 40).chi2 / contest.num_samples
+    assert left[names.index("dry_friction")] < 0.01 < left[names.index("hysteresis_boucwen")]
 
 
 def test_a_law_that_was_dropped_where_it_acts_is_fitted_there(tmp_path):

@@ -299,7 +299,7 @@ BRANCH_TRUTH = {
     "wind_gust": (20.0, -15.0, 10.0, 12.0, 0.9, 0.4, 0.7, 0.1, 0.3),
     "gravity_comp_error": (0.15, 0.6, 0.1, -0.1, 0.2),
     "anisotropic_stiffness": (0.8, 0.7, 0.3),
-    "bilinear_stiffness": (1.0, 1.2, 0.02),
+    "bilinear_stiffness": (-0.5, 1.2, 0.02, 0.03),
     "bending_torsion_coupling": (0.4, 0.9),
 }
 FIXED_AT_TRUTH = {

@@ -1,0 +1,28 @@
+"""A one-sided spring whose corner is off rest, against a root of the moments."""
+
+import numpy as np
+import pytest
+from oracles.effect_case import FORCE, KS, held, resting, settled, stick, stick_case
+
+
+@pytest.mark.parametrize("relative", [-0.6, 1.5])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_one_sided_spring_softens_at_an_angle_from_rest(tmp_path, relative, way):
+    """Rest where a spring with its corner at the angle d does, whose stiff side holds the rest pose.
+
+    Pushed to either side; bent the stiff way it only stays as stiff. The corner is rounded over 0.1 mrad, of which half
+    is lacking beyond it.
+    """
+    case, psi, off = stick_case(tmp_path / "c", [held(force=way * FORCE)]), 0.7, 0.03
+    n = np.array([np.cos(psi), np.sin(psi), 0.0])
+
+    def spring(phi, off=off):
+        corner = -np.sign(relative) * off
+        beyond = max(phi @ n - corner, 0.0) - max(-corner, 0.0)
+        return -KS * (phi + relative * beyond * n)
+
+    own = {"relative": relative, "axis_rad": psi, "corner_rad": 1e-4, "off_rad": off}
+    expected, centred = (resting(case, lambda phi, d=d: spring(phi, d), lambda R: way * FORCE) for d in (off, 0.0))
+    moved = float(np.linalg.norm(expected - centred))
+    assert moved > 2e-3 if way * relative < 0.0 else moved < 1e-6
+    np.testing.assert_allclose(settled(stick(case, bilinear_stiffness=own)[0]), expected, atol=3e-4)
