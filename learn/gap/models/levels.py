@@ -254,7 +254,8 @@ def _started(
 
     With ``every`` all candidates start. A base fit biased by an effect can hide that effect from the scan and trap its
     fits in a local minimum; they therefore also start from the base at its typical values, those of joints with their
-    effects at typical values too and first fitted to short horizons.
+    effects at typical values too and first fitted to short horizons. Laws of a branch's joint that remember start from
+    the base with a typical damper at their joint as well.
     """
     promised = _promised(contest, scans)
     keys = sorted(promised, key=lambda key: promised[key][0])[: None if every else KEPT[0]]
@@ -265,15 +266,34 @@ def _started(
     for n, (key, own, misfit) in enumerate(zip(keys, starts, cost, strict=True)):
         batches.append(own[misfit.argsort()[: STARTS if n < WIDELY else 1]])
         members += [key] * len(batches[-1])
+    found = [
+        (_loosened(contest, own[slice(0, 1)], promised[key][2]), key) for key, own in zip(keys, starts, strict=True)
+    ]
+    loosened = [(own, key) for own, key in found if own is not None]
     typical = Batch.joined([own[slice(0, 1)] for own in starts])
     known = typical.active.clone() if typical.start.numel() else typical.active & False
     known[:, : contest.num_base] = True
     typical.free = torch.where(known, contest.typical, typical.free)
-    rows = [*members, *keys]
+    batches += [led(contest, typical), *(own for own, _ in loosened)]
+    rows = [*members, *keys, *(key for _, key in loosened)]
     order = sorted(range(len(rows)), key=lambda s: keys.index(rows[s]))  # neighbours have about as many parameters
-    return Batch.joined([*batches, led(contest, typical)])[torch.tensor(order, device=contest.place)], sorted(
-        rows, key=keys.index
-    )
+    return Batch.joined(batches)[torch.tensor(order, device=contest.place)], sorted(rows, key=keys.index)
+
+
+def _loosened(contest: Contest, start: Batch, candidate: int) -> Batch | None:
+    """Return a start with the law at typical values and a typical damper at its joint, None where that says nothing.
+
+    A damper that stands for a law which takes energy leaves it nothing to explain, and no step leads from the one to the
+    other: a creep at a joint that was damped 150 times too much stayed there.
+    """
+    own = contest.candidates[candidate]
+    if not isinstance(contest.case, BranchCase) or own.acting.joint is None or not own.law.memory:
+        return None
+    damper = f"damping {contest.case.segment_name[own.acting.joint]}"
+    columns = [*own.columns, next(k for k, p in enumerate(contest.parameters) if p.name == damper)]
+    out = start.copy()
+    out.free[:, columns] = contest.typical[columns]
+    return out
 
 
 def _promised(

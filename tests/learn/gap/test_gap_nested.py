@@ -16,7 +16,7 @@ from bough.learn.gap.models.certain import covariance, doubtful, uncertain
 from bough.learn.gap.models.contest import Contest, activated
 from bough.learn.gap.models.fitted import FittedModels, Model
 from bough.learn.gap.models.left_out import without_event
-from bough.learn.gap.models.levels import _mirrored, mirrored, taken_for
+from bough.learn.gap.models.levels import _mirrored, _started, mirrored, scan_candidates, taken_for
 from bough.learn.gap.models.nested import close, fitted_again, from_contained, rebased, switches
 from bough.learn.gap.models.refit import evaluated, fit
 from bough.learn.gap.run import Run
@@ -415,6 +415,30 @@ def test_a_law_that_was_dropped_where_it_acts_is_fitted_there(tmp_path):
     fitted.models.append(found)
     (again,) = taken_for(fitted, 1)  # what it may be taken for in its turn, beside its springs
     assert again.members == (coupling,) and again.chi2 > 10.0 * found.chi2
+
+
+def test_laws_that_remember_begin_with_a_typical_damper_too(branch):
+    """Begin a creep beside a base that is damped 150 times too much at its joint: with its springs, and as typical.
+
+    That damper stands for what the joint dissipates, and from it no step led to the law. A spring has no such start.
+    """
+    contest = Contest(branch, recordings(branch), np.full(6, 0.003), ("viscoelastic_sls", "cubic_stiffness"))
+    base = contest.base_batch(1)
+    damper = next(k for k, p in enumerate(contest.parameters) if p.name == f"damping {branch.segment_name[0]}")
+    springs = [k for k, p in enumerate(contest.parameters[: contest.num_base]) if p.name.startswith("stiffness")]
+    base.free[:, springs] += 0.5
+    base.free[:, damper] += math.log(150.0)
+    basis, scan = scan_candidates(contest, evaluated(contest, base))
+    begun, members = _started(contest, [(basis, scan, ())], every=True)
+    names = np.array([contest.candidates[k].name for (k,) in members])
+    creep = next(k for k, c in enumerate(contest.candidates) if c.name == "viscoelastic_sls")
+    own = list(contest.candidates[creep].columns)
+    as_typical = (begun.free[:, damper] == contest.typical[damper]).numpy()
+    kept = (begun.free[:, springs] != contest.typical[springs]).all(1).numpy()
+    assert sum(as_typical & ~kept) == 2  # a start of each law with the base as typical
+    (found,) = np.flatnonzero(as_typical & kept)
+    assert names[found] == "viscoelastic_sls"
+    assert torch.equal(begun.free[found, own], contest.typical[own]) and begun.active[found, own].all()
 
 
 def test_the_second_of_two_laws_is_exchanged_too(tmp_path):
