@@ -22,6 +22,7 @@ from ..lanes.real import SOURCE, fma, fnma, real, sqrt_, where_neg
 from ..tree.observe import locate_links
 from ..tree.rollout import Moment, between, look_ahead, share_of, write_gains, write_joints, write_point
 from .held import holder_of
+from .kept import BETWEEN, EVERYTHING, fader_of, forget, kept_rows
 from .structs import PARAMETERS
 from .terms import (
     CALM,
@@ -68,9 +69,6 @@ LEAST_LAG = wp.constant(wp.float64(1.0e-3))
 #: Steps that seek rest under a load, each Newton's with 5/4 of the joints' stiffness, and their length [s].
 SETTLING = 16
 SETTLING_STEP = wp.constant(wp.float64(1.0))
-#: What `forget` clears: what the end of a recording clears, or damage too.
-BETWEEN = wp.constant(0)
-EVERYTHING = wp.constant(1)
 
 
 @wp.struct
@@ -306,17 +304,6 @@ def look(e: int, row: int, place: int, k: int, is_first: bool, at: Slots, s: Any
 
 
 @wp.func
-def forget(e: int, kept: Any, most: int, m: Any, fx: Any):
-    """Clear the memories of a group whose rows are marked up to ``most`` in ``kept``."""
-    for row in range(len(kept)):
-        if kept[row] <= most:
-            for i in range(m.count[e] + 1):
-                z = fx.memory[e, row * fx.stride + i]
-                o = real(0.0, z.x)  # no difference of the memory itself: what is not a number would stay so
-                fx.memory[e, row * fx.stride + i] = type(z)(o, o, o)
-
-
-@wp.func
 def rest(e: int, m: Any, x: Any):
     """Put every joint at its spring's rest, at rest."""
     for i in range(1, m.count[e] + 1):
@@ -503,12 +490,6 @@ def replay_joints(
                 write_gains(e, k, watched, x, h, output_out)
 
 
-def kept_rows(terms: tuple[Term, ...]) -> Any:
-    """Mark the rows of memory for `forget`: what `BETWEEN` recordings clears, or only `EVERYTHING`; or that none is."""
-    marks = [int(term.persistent) for term in terms for _ in range(term.memory)] or [EVERYTHING + 1]
-    return wp.constant(wp.types.vector(len(marks), wp.int32)(*marks))
-
-
 @cache
 def effect_rollout_kernels(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamespace:
     """Return ``point`` and ``joint`` as `rollout.rollout_kernels` does, with the given terms in the step.
@@ -530,6 +511,7 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
     """
     parts, kept = step_of(width, precision, terms), kept_rows(terms)
     t, advance, law, hold = parts.types, parts.advance, parts.force, holder_of(terms, parts.types, parts.key)
+    fade = fader_of(terms, parts.key)
     Model, State, Load, Scratch, Real, Quat = t.Model, t.State, t.Load, t.Scratch, t.Real, t.Quat
     Effects, ForceState = t.Effects, t.ForceState
     tip, slip, delay = (slot_of(terms, kind) for kind in ("tip_mass", "grasp_slip", "time_delay"))
@@ -555,6 +537,7 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
         for j in range(first_of[e], last_of[e]):
             place = grasped[j]
             forget(e, kept, BETWEEN, m, fx)
+            fade(e, m, fx)
             nominal = grip_of(grip, j, GRASP, m.offset[e, 1])
             start, calm = set_out(e, r, j, place, j == first_of[e], at, m, x_in_out, u_out, fx, s_out, grip, nominal,
                                   begins[j], bound, advance, hold)  # fmt: skip

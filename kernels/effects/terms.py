@@ -97,6 +97,7 @@ class Term(NamedTuple):
         precedes: Whether it acts by the clock, and so has moved a branch before a recording begins.
         strains: Device function as of kind ``joint`` of what a law of another kind does at joints as well, without a
             memory; None where it does nothing there.
+        fades: Which of its parameters is the share of its memory that outlasts a recording; -1 where all of it does.
     """
 
     name: str
@@ -109,6 +110,7 @@ class Term(NamedTuple):
     holds: Any = None
     precedes: bool = False
     strains: Any = None
+    fades: int = -1
 
     @property
     def at_joint(self) -> Any:

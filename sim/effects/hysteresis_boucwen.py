@@ -74,6 +74,8 @@ _SHARE = replace(_PARAMETERS[0], high=10.0, becomes="dry_friction")
 _LOADING, _STIFFENING = (
     EffectParameter("loading", "1", low, 1.0, neutral=1.0, tries=1, optional=True) for low in (0.0, -0.25)
 )
+#: What becomes of a branch between two recordings is not recorded: its slider may stay, or creep back.
+_KEPT = EffectParameter("kept", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0], optional=True)
 _SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True)
 
 EFFECT = register(
@@ -83,18 +85,19 @@ EFFECT = register(
         summary="a second spring of a K in series with a slider that yields gradually at the angle y, more abruptly the"
         " larger the exponent n; the share l yields on loading, the rest on the way back (beta y^n = 1/2, gamma y^n ="
         " l - 1/2); at a ball joint a share of it may yield about each axis of the segment by itself, and twist counts"
-        " by a share t; in a branch it begins where the recording before left it",
+        " by a share t; in a branch it begins each recording with the share k of what the one before left",
         source="Bouc 1967; Wen 1976, ASCE EM 102:249; in space as Park, Wen & Ang 1986, EESD 14:543",
         signature="loops of force over displacement that are as wide slow as fast; stiffer after each reversal",
         mistaken_for=("dry_friction", "viscoelastic_sls", "plastic_set"),
         probe="the same triangle of force at two speeds; a small loop inside a large one",
         branch=Law(
             "joint",
-            (_SHARE, *_PARAMETERS[1:], _LOADING, _SEPARATE, TWIST_SHARE),
+            (_SHARE, *_PARAMETERS[1:], _LOADING, _SEPARATE, TWIST_SHARE, _KEPT),
             hysteresis_boucwen,
             memory=1,
             persistent=True,
             holds=hysteresis_holds,
+            keeps="kept",
         ),
         joint=Law("joint", (*_PARAMETERS, _STIFFENING), hysteresis_boucwen, memory=1),
     )

@@ -156,6 +156,8 @@ class Law:
             empty where it has none.
         strengths: Names of the parameters that are all neutral where the effect does nothing. Empty: those that may
             have either sign if the first is one of them, else the first alone.
+        keeps: Name of the parameter that is the share of a persistent memory which outlasts a recording; empty where
+            all of it does.
     """
 
     kind: Kind
@@ -173,6 +175,7 @@ class Law:
     further: Callable[[Setting], Sequence[tuple[float, ...]]] | None = None
     moment: str = ""
     strengths: tuple[str, ...] = ()
+    keeps: str = ""
 
 
 @dataclass(frozen=True)
@@ -299,4 +302,5 @@ def terms_of(names: tuple[str, ...], form: Form) -> tuple[Term, ...]:
 
 def _term(name: str, slot: int, law: Law) -> Term:
     lasting = law.memory, law.persistent
-    return Term(name, law.kind, law.law, slot, law.per_joint, *lasting, law.holds, law.precedes, law.strains)
+    fades = [p.name for p in law.parameters].index(law.keeps) if law.keeps else -1
+    return Term(name, law.kind, law.law, slot, law.per_joint, *lasting, law.holds, law.precedes, law.strains, fades)

@@ -107,20 +107,45 @@ def taken_for(fitted: FittedModels, count: int) -> list[Model]:
     They are laws that it is mistaken for, or that are mistaken for it. They begin as they were fitted alone, maybe at
     another joint: a law that fits slowly where it acts may have been dropped there and kept at its neighbour's; or
     where they were dropped everywhere, at their typical values. One that has settled at that joint begins again beside
-    the springs of the best, since its own may be those of a false minimum.
+    the springs of the best, since its own may be those of a false minimum. Where a scan beside what the best model has
+    else finds a cheaper start, they begin there.
     """
     contest, best = fitted.contest, next(iter(fitted.of_size(count)), None)
     if best is None:
         return []
     done, begun = {m.members for m in fitted.of_size(count) if m.settled}, []
     for c in best.members:
+        likely = _likely(contest, best, c)
         for other in _taken_for(contest, c):
             key = tuple(sorted((set(best.members) - {c}) | {other}))
             names = (contest.candidates[other].name,)
             alone = next((m for m in fitted.of_size(1) if m.settled and fitted.names(m) == names), None)
             if len(key) == count:
-                begun.append((key, _exchanged(contest, best, c, other, alone, again=key in done)))
+                own = _exchanged(contest, best, c, other, alone, again=key in done)
+                begun.append((key, _cheapest(contest, [own, *likely.get(other, ())])))
     return _settled(contest, begun, sum(ITERATIONS[1:]))
+
+
+def _likely(contest: Contest, model: Model, candidate: int) -> dict[int, list[Batch]]:
+    """Return starts of the laws that one law of a model is taken for, as a scan beside the others' values finds them.
+
+    The residual of the model without that law, all else as it was fitted, is what the law does.
+    """
+    others = _taken_for(contest, candidate)
+    left = evaluated(contest, _without(contest, model.fit.batch, [candidate]))
+    probes = [p for p in all_probes(contest, model.members) if p.candidate in others]
+    if not probes:
+        return {}
+    basis = Basis(contest, left)
+    scan = score_probes(contest, basis, probes, basis.residual[None])
+    return {k: [start_batch(contest, basis, scan, best)] for k in others if (best := scan.best(k, STARTS))}
+
+
+def _cheapest(contest: Contest, starts: Sequence[Batch]) -> Batch:
+    """Return the start of least cost."""
+    every = Batch.joined(starts)
+    k = int(evaluated(contest, every).cost.argmin())
+    return every[slice(k, k + 1)]
 
 
 def _taken_for(contest: Contest, candidate: int) -> list[int]:
@@ -266,16 +291,14 @@ def _started(
     for n, (key, own, misfit) in enumerate(zip(keys, starts, cost, strict=True)):
         batches.append(own[misfit.argsort()[: STARTS if n < WIDELY else 1]])
         members += [key] * len(batches[-1])
-    found = [
-        (_loosened(contest, own[slice(0, 1)], promised[key][2]), key) for key, own in zip(keys, starts, strict=True)
-    ]
-    loosened = [(own, key) for own, key in found if own is not None]
+    loose = [(key, start) for key, own in zip(keys, starts, strict=True)
+             if (start := _loosened(contest, own[slice(0, 1)], promised[key][2])) is not None]  # fmt: skip
     typical = Batch.joined([own[slice(0, 1)] for own in starts])
     known = typical.active.clone() if typical.start.numel() else typical.active & False
     known[:, : contest.num_base] = True
     typical.free = torch.where(known, contest.typical, typical.free)
-    batches += [led(contest, typical), *(own for own, _ in loosened)]
-    rows = [*members, *keys, *(key for _, key in loosened)]
+    batches += [led(contest, typical), *(start for _, start in loose)]
+    rows = [*members, *keys, *(key for key, _ in loose)]
     order = sorted(range(len(rows)), key=lambda s: keys.index(rows[s]))  # neighbours have about as many parameters
     return Batch.joined(batches)[torch.tensor(order, device=contest.place)], sorted(rows, key=keys.index)
 
@@ -283,8 +306,8 @@ def _started(
 def _loosened(contest: Contest, start: Batch, candidate: int) -> Batch | None:
     """Return a start with the law at typical values and a typical damper at its joint, None where that says nothing.
 
-    A damper that stands for a law which takes energy leaves it nothing to explain, and no step leads from the one to the
-    other: a creep at a joint that was damped 150 times too much stayed there.
+    A damper that stands for a law which takes energy leaves it nothing to explain, and no step leads from the one to
+    the other: a creep at a joint that was damped 150 times too much stayed there.
     """
     own = contest.candidates[candidate]
     if not isinstance(contest.case, BranchCase) or own.acting.joint is None or not own.law.memory:

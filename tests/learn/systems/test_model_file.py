@@ -53,7 +53,8 @@ def test_refinements_may_be_left_out(tmp_path):
     content = {"format": "branch-model/1", "name": "found", "segments": [STICK], "effects": [hysteresis]}
     (tmp_path / "model.yaml").write_text(yaml.safe_dump(content))
     known = read_model(tmp_path / "model.yaml").effects[0].known
-    assert known == {"share": 0.3, "yield_rad": 0.05, "exponent": 2.0, "loading": 1.0, "separate": 0.0, "twist": 1.0}
+    refined = {"exponent": 2.0, "loading": 1.0, "separate": 0.0, "twist": 1.0, "kept": 1.0}
+    assert known == {"share": 0.3, "yield_rad": 0.05} | refined
 
 
 @pytest.mark.parametrize(
