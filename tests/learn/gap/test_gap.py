@@ -333,6 +333,17 @@ def test_a_spring_that_pulls_one_way_must_explain_nearly_all():
         assert known(fitted, fitted.models[0]) is claimed
 
 
+@pytest.mark.parametrize("name", ["force_scale", "time_delay", "gravity_comp_error"])
+def test_a_law_of_a_sensor_must_explain_nearly_all(name):
+    """Claim one that leaves noise or explains 0.951 of the excess, none that explains 0.94: it has no other form."""
+    for left, claimed in ((1100, True), (1390, True), (1480, False)):
+        fitted = field_of({(0,): left}, base=9000.0)
+        fitted.contest.candidates[0] = Candidate(
+            SimpleNamespace(name=name, label=""), (0,), SimpleNamespace(parameters=())
+        )
+        assert known(fitted, fitted.models[0]) is claimed
+
+
 def test_two_effects_of_a_branch_must_explain_nearly_all():
     """Claim two that leave noise or explain 0.97 of the excess, none that explain 0.96, where one would be claimed."""
     for left, claimed in ((1100, True), (1240, True), (1320, False)):
