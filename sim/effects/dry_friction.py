@@ -99,10 +99,14 @@ _STRIBECK_RATE = EffectParameter(
 )  # fmt: skip
 
 
+#: Whether friction holds a branch where the recording before left it is not known of what is done in between.
+_KEPT = EffectParameter("kept", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True)
+
+
 def _creeping(s: Setting) -> Sequence[tuple[float, ...]]:
     """Friction that vanishes at rest."""
     torques, rates = [t * s.torque for t in (0.03, 0.2, 1.0)], [v * s.rate for v in (0.05, 0.4)]
-    return list(product(torques, [5e-4], [0.0], [-1.0], rates))
+    return list(product(torques, [5e-4], [0.0], [-1.0], rates, [0.0]))
 
 
 EFFECT = register(
@@ -111,7 +115,8 @@ EFFECT = register(
         plain="dry friction",
         summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first,"
         " and from g = 0 to 1 comes ever more gradually to slip); in a branch it may be"
-        " larger while it hardly moves, T (1 + s exp(-|w| / v)), or smaller and creep there (s < 0)",
+        " larger while it hardly moves, T (1 + s exp(-|w| / v)), or smaller and creep there (s < 0), and begin each"
+        " recording with the share k of the bend that the one before left",
         source="Coulomb 1785; elastic before it slips, and gradual, as in Dahl 1968, Aerospace TOR-158; growing towards"
         " rest as in Tustin 1947, J. IEE 94:143",
         signature="oscillations decay in a straight line and stop off centre; loops keep their width however slow",
@@ -119,9 +124,11 @@ EFFECT = register(
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
         branch=Law(
             "joint",
-            (_TORQUE, _BEND, _GRADUAL, _STRIBECK, _STRIBECK_RATE),
+            (_TORQUE, _BEND, _GRADUAL, _STRIBECK, _STRIBECK_RATE, _KEPT),
             dry_friction,
             memory=1,
+            persistent=True,
+            keeps="kept",
             holds=dry_friction_holds,
             further=_creeping,
         ),

@@ -65,4 +65,5 @@ def test_one_kernel_serves_any_choice_of_effects():
         16, 32, terms_of(two.names, "branch")
     )
     assert list(one.laws) == ["dry_friction"] and len(one.neutral()) == PARAMETERS * len(one.names)
-    assert not one.persists and not one.settles and ActingSet([], "branch", [setting]).names == ()
+    assert one.persists and not two.persists and not one.settles
+    assert ActingSet([], "branch", [setting]).names == ()
