@@ -202,16 +202,16 @@ def test_pieces_keep_the_branch(tmp_path):
 def test_probes_are_worth_what_tells_models_apart(small):
     """Find nothing in a recording without a push, more in a larger push, and the best probe above the others."""
     contest, base = small
-    place = next(k for k, c in enumerate(contest.candidates) if c.name == "dry_friction")
+    place = next(k for k, c in enumerate(contest.candidates) if c.name == "anisotropic_stiffness")
     batch = activated(contest, base.batch, [[place]])
     column = contest.candidates[place].columns[0]
     batch.free[0, column] = float(contest.high[column])
-    rubs, plain = Model((place,), evaluated(contest, batch)), Model((), base)
+    oval, plain = Model((place,), evaluated(contest, batch)), Model((), base)
     probes = PROBES.everything()
-    worth = {name: best_probe(contest, rubs, plain, [p]).evidence for name, p in probes.items()}
+    worth = {name: best_probe(contest, oval, plain, [p]).evidence for name, p in probes.items()}
     assert worth.pop("still") == pytest.approx(0.0, abs=1e-6)
     assert all(value > 0.0 for value in worth.values())
-    assert best_probe(contest, rubs, plain).evidence == max(worth.values())
+    assert best_probe(contest, oval, plain).evidence == max(worth.values())
     push = recordings_of(contest.case, contest.recordings, probes["full_swing_in"])[0]
     largest = max(np.linalg.norm(r.input, axis=1).max() for r in contest.recordings)
     assert np.linalg.norm(push.input, axis=1).max() == pytest.approx(largest, rel=1e-6)
