@@ -9,7 +9,7 @@ import warp as wp
 from ...kernels.effects.held import held
 from ...kernels.lanes.algebra import add, div, growth, mul, norm, sub
 from ...kernels.lanes.real import fma, real, where_neg
-from .registry import Effect, EffectParameter, Law, Setting, register
+from .registry import Effect, EffectParameter, Law, Setting, kept_share, register
 
 #: Least angle over which asperities bend before they slip in a branch [rad], so that friction at rest is a spring.
 LEAST_BEND = wp.constant(wp.float64(1.0e-5))
@@ -99,10 +99,6 @@ _STRIBECK_RATE = EffectParameter(
 )  # fmt: skip
 
 
-#: Whether friction holds a branch where the recording before left it is not known of what is done in between.
-_KEPT = EffectParameter("kept", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True)
-
-
 def _creeping(s: Setting) -> Sequence[tuple[float, ...]]:
     """Friction that vanishes at rest."""
     torques, rates = [t * s.torque for t in (0.03, 0.2, 1.0)], [v * s.rate for v in (0.05, 0.4)]
@@ -124,7 +120,7 @@ EFFECT = register(
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
         branch=Law(
             "joint",
-            (_TORQUE, _BEND, _GRADUAL, _STRIBECK, _STRIBECK_RATE, _KEPT),
+            (_TORQUE, _BEND, _GRADUAL, _STRIBECK, _STRIBECK_RATE, kept_share(0.0)),
             dry_friction,
             memory=1,
             persistent=True,

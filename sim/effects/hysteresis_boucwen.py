@@ -8,7 +8,7 @@ import warp as wp
 from ...kernels.effects.held import held
 from ...kernels.lanes.algebra import add, div, dot, mul, norm, sub
 from ...kernels.lanes.real import fma, real, sqrt_, where_neg
-from .registry import TWIST_SHARE, Effect, EffectParameter, Law, register
+from .registry import TWIST_SHARE, Effect, EffectParameter, Law, kept_share, register
 
 
 @wp.func
@@ -74,8 +74,6 @@ _SHARE = replace(_PARAMETERS[0], high=10.0, becomes="dry_friction")
 _LOADING, _STIFFENING = (
     EffectParameter("loading", "1", low, 1.0, neutral=1.0, tries=1, optional=True) for low in (0.0, -0.25)
 )
-#: What becomes of a branch between two recordings is not recorded: its slider may stay, or creep back.
-_KEPT = EffectParameter("kept", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0], optional=True)
 _SEPARATE = EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True)
 
 EFFECT = register(
@@ -92,7 +90,7 @@ EFFECT = register(
         probe="the same triangle of force at two speeds; a small loop inside a large one",
         branch=Law(
             "joint",
-            (_SHARE, *_PARAMETERS[1:], _LOADING, _SEPARATE, TWIST_SHARE, _KEPT),
+            (_SHARE, *_PARAMETERS[1:], _LOADING, _SEPARATE, TWIST_SHARE, kept_share(1.0)),
             hysteresis_boucwen,
             memory=1,
             persistent=True,

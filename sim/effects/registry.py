@@ -116,6 +116,14 @@ class EffectParameter:
 TWIST_SHARE = EffectParameter("twist", "1", 0.0, 1.0, neutral=1.0, tries=lambda s: [1.0], optional=True)
 
 
+def kept_share(neutral: float) -> EffectParameter:
+    """Return the share of a law's memory that outlasts a recording, and where nothing is said ``neutral``.
+
+    What becomes of a branch between two recordings is not recorded: what holds it may stay, or creep back.
+    """
+    return EffectParameter("kept", "1", 0.0, 1.0, neutral=neutral, tries=lambda s: [neutral], optional=True)
+
+
 def axis_parameter(*, circle: bool, tries: int) -> EffectParameter:
     """Return the angle of an axis across a segment, which a search may turn past either end of what it looks at.
 

@@ -132,11 +132,10 @@ def _likely(contest: Contest, model: Model, candidate: int) -> dict[int, list[Ba
     The residual of the model without that law, all else as it was fitted, is what the law does.
     """
     others = _taken_for(contest, candidate)
-    left = evaluated(contest, _without(contest, model.fit.batch, [candidate]))
     probes = [p for p in all_probes(contest, model.members) if p.candidate in others]
     if not probes:
         return {}
-    basis = Basis(contest, left)
+    basis = Basis(contest, evaluated(contest, _without(contest, model.fit.batch, [candidate])))
     scan = score_probes(contest, basis, probes, basis.residual[None])
     return {k: [start_batch(contest, basis, scan, best)] for k in others if (best := scan.best(k, STARTS))}
 
