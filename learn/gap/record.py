@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ...sim.base.types import Array
+from ..systems.model_file import BranchModel
 from .consistent import consistent, percent
 from .decide import Decision, predicts, size
 from .diagnosis import Diagnosis, Geometry, Rival, Where
@@ -41,6 +42,9 @@ def record(
     if askew and not base.unusable:
         remarks += ("Geometry and mountings that are not quite as the file says explain"
                     f" {percent(beside.share)} of the motion (furthest: {beside.furthest}).",)  # fmt: skip
+    if isinstance(repaired.model, BranchModel) and repaired.model.held_out is not None:
+        remarks += ("What is missing shows only in recordings that are held out otherwise; held out are"
+                    f" {' and '.join(repaired.model.held_out)} instead.",)  # fmt: skip
     if decision.ended:
         remarks += (f"{' and '.join(decision.ended)} would leave less, but at an end of its box where it is the law"
                     " that is named.",)  # fmt: skip

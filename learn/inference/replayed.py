@@ -18,7 +18,7 @@ from ..replay.recording import Recording
 from ..systems.acting import Acting
 from ..systems.branch import Unknowns
 from ..systems.joint_file import JointModel
-from ..systems.model_file import Model
+from ..systems.model_file import BranchModel, Model
 from .fit import levenberg_marquardt
 from .identify import pooled_sigma, split
 from .predict import START_WINDOW, first_moments, main_channels
@@ -56,9 +56,17 @@ class Replayed:
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
-def held_out(case: BranchCase | JointCase) -> tuple[list[int], list[int]]:
-    """Return the recordings that a model is fitted to and those held out; a single one is both."""
-    return split(case) if len(case.trajectories) > 1 else ([0], [0])
+def held_out(case: BranchCase | JointCase, model: Model | None = None) -> tuple[list[int], list[int]]:
+    """Return the recordings that a model is fitted to and those held out; a single one is both.
+
+    Held out are those that the model names, of a case that has them and others; else those of the case's split.
+    """
+    every = range(len(case.trajectories))
+    names = model.held_out or () if isinstance(model, BranchModel) else ()
+    test = [j for j in every if case.trajectories[j].file in names]
+    if 0 < len(test) < len(every):
+        return [j for j in every if j not in test], test
+    return split(case) if len(every) > 1 else ([0], [0])
 
 
 def replay_model(case: BranchCase | JointCase, model: Model, off: Sequence[Acting] = ()) -> Replayed:
@@ -78,7 +86,7 @@ def replay_model(case: BranchCase | JointCase, model: Model, off: Sequence[Actin
         case = model.as_fitted(case)
     chosen = [thinned(case, r) for r in recordings_of(case)]
     unknowns = Unknowns(effects=(*model.effects, *off))
-    train, test = held_out(case)
+    train, test = held_out(case, model)
     rollout = simulation_of(case)(case, chosen, 1, unknowns=unknowns)
     values = torch.as_tensor(model.values[None], device=rollout.torch_device)
     start = _starts(case, chosen, test, values, unknowns) if rollout.num_locals else None

@@ -35,6 +35,8 @@ class BranchModel:
         effects: Effects; all their parameters are known.
         size: Length, radius of the lower and of the upper end of every segment [m], shape [R, 3]; None if not known.
         claimed: Whether the effects are claimed; else they are the nearest ones of a diagnosis.
+        held_out: Files of the recordings that the model was not fitted to; None for those that a case holds out by
+            itself.
     """
 
     name: str
@@ -44,6 +46,7 @@ class BranchModel:
     effects: tuple[Acting, ...] = ()
     size: Array | None = None
     claimed: bool = True
+    held_out: tuple[str, ...] | None = None
 
     @property
     def values(self) -> Array:
@@ -69,6 +72,7 @@ def read_model(path: str | Path) -> BranchModel:
         tuple(Acting(e.name, e.joint, dict(e.parameters)) for e in file.effects),
         None if file.sizes is None else np.array(file.sizes),
         file.claimed,
+        file.held_out,
     )
 
 
@@ -90,7 +94,8 @@ def _content(model: BranchModel) -> dict[str, Any]:
             segment.update(zip(GEOMETRY, map(float, row), strict=True))
     acting = [{"name": a.name, "joint": a.joint, "parameters": {k: float(v) for k, v in a.known.items()}}
               for a in model.effects]  # fmt: skip
-    return {"format": FORMAT, "name": model.name, "segments": segments, "effects": acting}
+    content = {"format": FORMAT, "name": model.name, "segments": segments, "effects": acting}
+    return content if model.held_out is None else {**content, "held_out": list(model.held_out)}
 
 
 def model_of(path: str | Path, case: BranchCase | JointCase) -> Model:

@@ -12,7 +12,8 @@
 
 Segments stand base first. The last three keys of a segment may be left out, of all segments alike. ``claimed: false``
 says that the effects are the nearest ones that a diagnosis found, which it does not claim; the springs are fitted
-beside them and go with them.
+beside them and go with them. ``held_out: [traj_01.csv]`` names the recordings of its case that the model was not fitted
+to, where they are not those that a case holds out by itself.
 """
 
 from __future__ import annotations
@@ -71,6 +72,7 @@ class BranchFile(Strict):
     segments: Annotated[list[SegmentModel], Field(min_length=1)]
     effects: tuple[EffectModel, ...] = Field(default=(), strict=False)
     claimed: bool = True
+    held_out: tuple[str, ...] | None = Field(default=None, min_length=1, strict=False)
 
     @property
     def sizes(self) -> list[tuple[float, float, float]] | None:

@@ -40,7 +40,10 @@ def test_written_is_read(tmp_path):
     assert (again.stiffness == MODEL.stiffness).all() and (again.damping == MODEL.damping).all()
     assert again.effects == MODEL.effects and (again.name, again.segment_name) == ("found", ("stick",))
     assert again.size is None and again.claimed
-    assert "claimed" not in (tmp_path / "model.yaml").read_text()
+    written = (tmp_path / "model.yaml").read_text()
+    assert "claimed" not in written and again.held_out is None and "held_out" not in written
+    write_model(tmp_path / "model.yaml", replace(MODEL, held_out=("run_1.csv",)))
+    assert read_model(tmp_path / "model.yaml").held_out == ("run_1.csv",)
     write_model(tmp_path / "model.yaml", replace(MODEL, claimed=False))
     assert not read_model(tmp_path / "model.yaml").claimed
     write_model(tmp_path / "model.yaml", replace(MODEL, size=SIZE / 3))
@@ -63,6 +66,7 @@ def test_refinements_may_be_left_out(tmp_path):
         ({"format": "branch-model/2"}, "format"),
         ({"extra": 1}, "a key that this format does not have"),
         ({"segments": []}, "segments"),
+        ({"held_out": []}, "held_out"),
         ({"effects": [{"name": "friction", "joint": 0, "parameters": {}}]}, "'friction'"),
         ({"effects": [{"name": "dry_friction", "joint": 0, "parameters": {}}]}, "no torque_Nm"),
         ({"effects": [{"name": "dry_friction", "joint": 1, "parameters": {"torque_Nm": 1.0}}]}, "0 to 0"),
@@ -105,6 +109,24 @@ def test_simulate_takes_the_model(tmp_path, capsys):
     held = written["body_pos"][:, :, 0] + 0.4 * axis
     np.testing.assert_allclose(held - held[:1], wanted - wanted[:1], atol=1e-6)  # float32 of a metre
     assert np.abs(wanted).max() > 0.02
+
+
+@pytest.mark.parametrize(
+    ("named", "held"),
+    [
+        (("run_0.csv",), "run_0.csv"),
+        (("run_0.csv", "run_1.csv"), "run_0.csv, run_1.csv"),
+        (None, "run_2.csv"),
+        (("of_another_case.csv",), "run_2.csv"),
+        (("run_0.csv", "run_1.csv", "run_2.csv"), "run_2.csv"),
+    ],
+)
+def test_simulate_holds_out_what_the_model_was_not_fitted_to(tmp_path, capsys, named, held):
+    """Print the RMSE of the recordings that the file names; without them, or of another case, of the last one."""
+    stick_case(tmp_path / "case", [push(), -push(), 0.5 * push()])
+    write_model(tmp_path / "model.yaml", replace(MODEL, held_out=named))
+    assert main(["simulate", str(tmp_path / "case"), "--model", str(tmp_path / "model.yaml"), "--out", "out"]) == 0
+    assert f"({held}, not used in its fit)" in capsys.readouterr().out
 
 
 def test_simulate_refuses_a_model_that_does_not_fit(tmp_path, capsys):
