@@ -46,9 +46,9 @@ LITTLE_LEFT = ((10.0, 0.6), (300.0, 0.7))
 #: the place of a diode 0.70 and a plastic set 0.78.
 EXPLAINED_TORQUE = 0.87
 #: The same where dry friction alone is named, which every gear has, of replays and of torques. Of replays a servo's
-#: explains 0.81 to 0.85, friction in the place of twenty laws on no list 0.44 at most; of torques that of a real arm's
-#: two gears explains 0.52.
-EXPLAINED_FRICTION, EXPLAINED_FRICTION_TORQUE = 0.75, 0.4
+#: explains 0.81 to 0.85, friction in the place of twenty laws on no list 0.44 at most, and one that may grow towards
+#: rest 0.753 in the place of a motor's cogging; of torques that of a real arm's two gears explains 0.52.
+EXPLAINED_FRICTION, EXPLAINED_FRICTION_TORQUE = 0.8, 0.4
 #: The least that two effects must explain together at replayed joints, if their residual exceeds noise: right pairs
 #: explain 0.99 and more, two laws that make up one on no list 0.9.
 TOGETHER_JOINT = 0.95
@@ -84,7 +84,8 @@ class Decision:
         verdict: ``none``, ``effects`` or ``unknown``.
         base: The base model.
         model: The preferred model.
-        final: The repaired model: ``model``, or the base model if nothing is missing.
+        final: The repaired model: ``model``, at joints without what does nothing in it (`models.idle`); or the base
+            model, if nothing is missing.
         named: Effects that are claimed.
         alternatives: For each of them the names that these data cannot tell from it.
         nearest: For ``unknown`` the closest name, not claimed; None if the data cannot support a verdict.
@@ -92,6 +93,7 @@ class Decision:
         may_be_off: For ``unknown`` the labels of the preferred model's effects that may as well be off.
         stretched: For ``unknown`` the labels of those that are as strong as their boxes allow, beside a misfit.
         ended: Labels of the model that was preferred before, a law of which ends where it becomes another.
+        further: The model with one effect more that leaves less, see `models.unclaimed`; None where there is none.
     """
 
     verdict: VerdictName
@@ -105,6 +107,7 @@ class Decision:
     may_be_off: tuple[str, ...] = ()
     stretched: tuple[str, ...] = ()
     ended: tuple[str, ...] = ()
+    further: Model | None = None
 
 
 def decide(base: Base, searched: Searched, settings: Settings) -> Decision:

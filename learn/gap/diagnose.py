@@ -16,6 +16,8 @@ from .decide import decide
 from .diagnosis import Diagnosis, Settings
 from .evidence import bootstrap_test
 from .models.candidates import names_for
+from .models.idle import lean
+from .models.unclaimed import unclaimed
 from .next_probe import next_experiment
 from .prepare import prepare
 from .record import record
@@ -58,6 +60,9 @@ def _judged(choice: Choice, run: Run) -> Diagnosis:
         with run.timed("evidence"):
             decision = decide(base, searched, run.settings)  # none, effects by name, or unknown
             decision = steadied(base, searched, decision, run)  # joints: the same under another filter, rate or split
+            if decision.verdict == "effects":
+                decision = replace(decision, final=lean(models, decision.model))
+                decision = replace(decision, further=unclaimed(models, decision.final, run.progress))
             run.progress("evidence", 1)
             ranking = rank(models, decision)  # all models; the leading ones where they were not fitted
         repaired = repair(base, decision, run)  # one model that is fitted, inferred, written, and misses what it misses

@@ -20,7 +20,7 @@ from ..systems.system import Parameter
 from .decide import NEAR, Decision
 from .diagnosis import Bound, Interval
 from .models.contest import Batch, Contest
-from .models.fitted import QUIET, Model
+from .models.fitted import QUIET
 from .models.refit import evaluated, filled, fit, normal_equations
 from .run import Run
 
@@ -43,16 +43,16 @@ def infer(contest: Contest, decision: Decision, fitted: Batch, train: Sequence[i
     if decision.verdict != "effects" or not run.settings.particles:
         return None
     with run.timed("posterior"):
-        return posterior_of(contest, decision.model, fitted, train, run)
+        return posterior_of(contest, decision, fitted, train, run)
 
 
-def posterior_of(contest: Contest, model: Model, fitted: Batch, train: Sequence[int], run: Run) -> Posterior:
+def posterior_of(contest: Contest, decision: Decision, fitted: Batch, train: Sequence[int], run: Run) -> Posterior:
     """Infer the base's and the effects' parameters of a model together, about its fit.
 
     The simulator's kernel is that of the search, with the effects outside the model fixed at neutral.
     """
     chosen = [contest.recordings[j] for j in train]
-    target = Target(contest.case, chosen, torch.as_tensor(contest.sigma), unknowns=only(contest, model))
+    target = Target(contest.case, chosen, torch.as_tensor(contest.sigma), unknowns=only(contest, fitted))
     target.colour = _of(contest.colour, train)
     start = fitted.start[:, list(train)].flatten(1)
     theta = torch.cat([fitted.free[fitted.active][None], start, target.log_noise0[None]], 1)
@@ -62,7 +62,7 @@ def posterior_of(contest: Contest, model: Model, fitted: Batch, train: Sequence[
     return sample(
         target, modes, particles=count, iterations=default_iterations("svgd"), seed=run.settings.seed,
         checkpoint=run.keep, progress=lambda stage, done: run.progress("sampling", done),
-        beyond=_beyond(contest.rigid(), fitted, train),
+        beyond=_beyond(contest.rigid(), decision, fitted, train),
     )  # fmt: skip
 
 
@@ -73,12 +73,13 @@ def _of(colour: Colour | None, chosen: Sequence[int]) -> Colour | None:
     return replace(colour, basis=colour.basis[list(chosen)], gain=colour.gain[list(chosen)])
 
 
-def only(contest: Contest, model: Model) -> Unknowns:
-    """Return unknowns in which a model's effects are inferred and all other candidates are off."""
-    acting = []
-    for c, candidate in enumerate(contest.candidates):
-        off = {s.name: s.neutral for s in candidate.specs}
-        acting.append(candidate.acting if c in model.members else replace(candidate.acting, known=off))
+def only(contest: Contest, fitted: Batch) -> Unknowns:
+    """Return unknowns of which those active in a model, a batch of one, are inferred and all others are neutral."""
+    acting, active = [], fitted.active[0].tolist()
+    for candidate in contest.candidates:
+        columns = zip(candidate.specs, candidate.columns, strict=True)
+        off = {s.name: s.neutral for s, k in columns if not active[k]}
+        acting.append(replace(candidate.acting, known=off) if off else candidate.acting)
     return Unknowns(effects=tuple(acting))
 
 
@@ -87,17 +88,19 @@ def intervals(
 ) -> Intervals:
     """Return medians and 95 % intervals of the named effects' parameters, by the posterior or the curvature at the fit.
 
-    Medians are the repaired model's values. No end of an interval is outside the box of a parameter that has one.
+    Medians are the repaired model's values. No end of an interval is outside the box of a parameter that has one. What
+    does nothing and was not fitted has none.
     """
     if decision.verdict != "effects":
         return {}
-    widths = {} if posterior is not None else _deviations(contest.rigid(), fitted, train)
+    widths = {} if posterior is not None else _deviations(contest.rigid(), decision, fitted, train)
     ends = {} if posterior is None else _rows(posterior)
     out: Intervals = {}
     for c in decision.model.members:
         candidate = contest.candidates[c]
         own = out.setdefault(candidate.acting.label, {})
-        for spec, k in zip(candidate.specs, candidate.columns, strict=True):
+        columns = zip(candidate.specs, candidate.columns, strict=True)
+        for spec, k in ((s, k) for s, k in columns if fitted.active[0, k]):
             p, free = contest.parameters[k], float(fitted.free[0, k])
             row = ends[p.name] if ends else _by_curvature(p, free, widths[k])
             own[spec.name] = Interval(*row, p.unit, at_bound(p, free, row))
@@ -134,7 +137,7 @@ def at_bound(p: Parameter, free: float, row: tuple[float, float, float]) -> Boun
     return "high" if middle >= 1.0 - NEAR or (free >= high and ends[0] > 0.5) else None
 
 
-def _deviations(contest: Contest, fitted: Batch, train: Sequence[int]) -> dict[int, float]:
+def _deviations(contest: Contest, decision: Decision, fitted: Batch, train: Sequence[int]) -> dict[int, float]:
     """Return the standard deviation of each active free coordinate at the fit, by parameter index.
 
     By the curvature there and the residuals' size and correlation (`inference.correlated`); at joints also by what the
@@ -146,13 +149,22 @@ def _deviations(contest: Contest, fitted: Batch, train: Sequence[int]) -> dict[i
     seen = correlation(residual[0][list(train)], [len(contest.recordings[j].t) for j in train], used)
     curvature = rows.flatten(1) @ rows.flatten(1).T
     spread = sandwich(filled(normal[0]), curvature, score_covariance(seen, rows)).diagonal().sqrt()
-    spread = spread[: columns.shape[1]].hypot(_beyond(contest, fitted, train))
+    spread = spread[: columns.shape[1]].hypot(_beyond(contest, decision, fitted, train))
     return {int(c): float(s) for c, s in zip(columns[0], spread, strict=True) if c >= 0}
 
 
-def _beyond(contest: Contest, fitted: Batch, train: Sequence[int]) -> torch.Tensor:
+def _beyond(contest: Contest, decision: Decision, fitted: Batch, train: Sequence[int]) -> torch.Tensor:
     """Return the deviations of the active free coordinates that neither noise nor correlation explains, shape [q]."""
-    return _apart(contest, fitted, train).hypot(_stepped(contest, fitted))
+    own = _apart(contest, fitted, train).hypot(_stepped(contest, fitted))
+    return own.hypot(_otherwise(decision, fitted)).hypot(_between(contest, decision, fitted))
+
+
+def _otherwise(decision: Decision, fitted: Batch) -> torch.Tensor:
+    """Return by how much the active free coordinates differ beside one effect more that is not named, shape [q]."""
+    active = fitted.active[0]
+    if decision.further is None:
+        return fitted.free.new_zeros(int(active.sum()))
+    return (decision.further.fit.batch.free - decision.final.fit.batch.free)[0, active].abs()
 
 
 def _stepped(contest: Contest, fitted: Batch) -> torch.Tensor:
@@ -164,6 +176,20 @@ def _stepped(contest: Contest, fitted: Batch) -> torch.Tensor:
         return fitted.free.new_zeros(int(fitted.active[0].sum()))
     coarse, fine = fit(contest, fitted, ALONE), fit(contest.finely(), fitted, ALONE)
     return 2.0 * (fine.batch.free - coarse.batch.free)[0, fitted.active[0]].abs()
+
+
+def _between(contest: Contest, decision: Decision, fitted: Batch) -> torch.Tensor:
+    """Return what the force between samples does to the active free coordinates of replayed joints, shape [q].
+
+    Zero without a delay. A force that is late is looked up between samples, where it is taken to be linear; one that is
+    smooth differs by an eighth of its second difference at most (de Boor 2001, A Practical Guide to Splines, II).
+    """
+    active = fitted.active[0]
+    late = any(contest.candidates[c].law.kind == "time_delay" for c in decision.model.members)
+    if not fitted.start.numel() or not late:
+        return fitted.free.new_zeros(int(active.sum()))
+    linear, smooth = fit(contest, fitted, ALONE), fit(contest.smoothly(), fitted, ALONE)
+    return (smooth.batch.free - linear.batch.free)[0, active].abs()
 
 
 def _apart(contest: Contest, fitted: Batch, train: Sequence[int]) -> torch.Tensor:

@@ -78,7 +78,7 @@ def repair(base: Base, decision: Decision, run: Run) -> Repaired:
     rows = contest.values(fits.batch).tolist()
     before, after = _values(contest, decision.base, rows[0]), _values(contest, decision.final, rows[1])
     if posterior is not None:
-        after = dict(zip(posterior.names, posterior.interval()[0].tolist(), strict=True))
+        after |= dict(zip(posterior.names, posterior.interval()[0].tolist(), strict=True))
     claimed = decision.verdict != "unknown" or not decision.final.members
     held = _held(contest.case, train)
     models = [model_from(contest, decision.base, before, held=held),
@@ -190,8 +190,8 @@ def implausible(contest: Contest, decision: Decision, parameters: Intervals) -> 
     form: Form = "branch" if isinstance(contest.case, BranchCase) else "joint"
     for acting in decision.named:
         for spec in effect_of(acting.name).law(form).parameters:
-            own = parameters[acting.label][spec.name]
-            if spec.plausible and not (own.low <= spec.plausible[1] and own.high >= spec.plausible[0]):
+            own = parameters[acting.label].get(spec.name)
+            if own and spec.plausible and not (own.low <= spec.plausible[1] and own.high >= spec.plausible[0]):
                 low, high = spec.plausible
                 out.append(f"{acting.label} {spec.name} {own.median:.3g} {own.unit} (nature has {low:g} to {high:g})")
     return tuple(out)

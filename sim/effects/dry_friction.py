@@ -1,6 +1,7 @@
 """Coulomb's friction at a joint."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -41,24 +42,36 @@ def friction(j: Any, torque: Any, y: Any, gradual: Any, r: Any):
 
 
 @wp.func
-def dry_friction(j: Any, p: Any, r: Any):
-    """T (1 + s exp(-|w| / v)): friction that is larger at rest (s > 0), or smaller and creeps there (s < 0).
+def slowness(j: Any, p: Any):
+    """x = |w| / v, the rate over that at which friction changes."""
+    slowest = real(SLOWEST, p.a)
+    return norm(j.rate) / where_neg(p.e - slowest, slowest, p.e)
 
-    With x = |w| / v the exponential is 1 / (1 + x + x^2/2 + x^3/6 + x^4/24), within 0.012. What is missing at rest,
+
+@wp.func
+def slipping(j: Any, p: Any, torque: Any, y: Any, x: Any, r: Any):
+    """T (1 + s exp(-x)): friction that is larger at rest (s > 0), or smaller and creeps there (s < 0).
+
+    The exponential is 1 / (1 + x + x^2/2 + x^3/6 + x^4/24), within 0.012. What is missing at rest with x = |w| / v,
     -s (1 - exp(-x)) T, sticks nowhere: a damper of that over |w|, implicit in the rate.
     """
     o = real(0.0, p.a)
     one = real(1.0, o)
-    least = real(LEAST_BEND, o)
     slowest = real(SLOWEST, o)
     v = where_neg(p.e - slowest, slowest, p.e)
-    x = norm(j.rate) / v
     slow = growth(x)
     fade = one / fma(x, slow, one)
     more = where_neg(p.d, o, p.d)
     creeps = where_neg(p.d, o - p.d, o)
-    out = friction(j, p.a * (fma(more, fade, one) - creeps), where_neg(p.b - least, least, p.b), p.c, r)
-    return type(r)(out.torque, out.memory, out.stiffness, fma(p.a * creeps / v, slow * fade, out.damping))
+    out = friction(j, torque * (fma(more, fade, one) - creeps), y, p.c, r)
+    return type(r)(out.torque, out.memory, out.stiffness, fma(torque * creeps / v, slow * fade, out.damping))
+
+
+@wp.func
+def dry_friction(j: Any, p: Any, r: Any):
+    """Friction in a branch, of which the bend may be as small as float32 tells apart."""
+    least = real(LEAST_BEND, p.a)
+    return slipping(j, p, p.a, where_neg(p.b - least, least, p.b), slowness(j, p), r)
 
 
 @wp.func
@@ -71,8 +84,16 @@ def dry_friction_holds(j: Any, p: Any, r: Any):
 
 @wp.func
 def dry_friction_at_joint(j: Any, p: Any, r: Any):
-    """Friction whose bend is small beside the motion, whatever that is: a joint may turn by radians or slide by mm."""
-    return friction(j, p.a, p.b, p.c, r)
+    """T (1 + u z / y), more one way than the other; larger at rest by s exp(-(w / v)^2), which leaves speed to drag.
+
+    Its bend is small beside the motion, by radians or by mm.
+    """
+    one = real(1.0, p.a)
+    w = slowness(j, p)
+    x = (r.memory.x + j.rate.x * j.step) / p.b
+    x = where_neg(one - x, one, x)
+    x = where_neg(x + one, real(0.0, x) - one, x)
+    return slipping(j, p, p.a * fma(p.f, x, one), p.b, where_neg(p.d, w, w * w), r)
 
 
 _TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")
@@ -97,6 +118,9 @@ _STRIBECK_RATE = EffectParameter(
     "stribeck_radps", "rad/s", lambda s: 0.01 * s.rate, lambda s: 0.5 * s.rate, neutral=1.0, scale="log", tries=1,
     optional=True,
 )  # fmt: skip
+#: What a joint does as it turns back is measured itself, and not from far away through springs.
+_STRIBECK_AT_JOINT = replace(_STRIBECK_RATE, low=lambda s: 0.002 * s.rate)
+_LOPSIDED = EffectParameter("lopsided", "1", -0.9, 0.9, tries=lambda s: [0.0], optional=True)
 
 
 def _creeping(s: Setting) -> Sequence[tuple[float, ...]]:
@@ -110,11 +134,13 @@ EFFECT = register(
         name="dry_friction",
         plain="dry friction",
         summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first,"
-        " and from g = 0 to 1 comes ever more gradually to slip); in a branch it may be"
-        " larger while it hardly moves, T (1 + s exp(-|w| / v)), or smaller and creep there (s < 0), and begin each"
-        " recording with the share k of the bend that the one before left",
+        " and from g = 0 to 1 comes ever more gradually to slip); it may be larger while it hardly moves,"
+        " T (1 + s exp(-|w| / v)), of a measured joint T (1 + s exp(-(w / v)^2)), or smaller and creep there (s < 0);"
+        " in a branch it may begin each recording with the share k of the bend that the one before left, at a measured"
+        " joint be T (1 + u) one way and T (1 - u) the other",
         source="Coulomb 1785; elastic before it slips, and gradual, as in Dahl 1968, Aerospace TOR-158; growing towards"
-        " rest as in Tustin 1947, J. IEE 94:143",
+        " rest as in Tustin 1947, J. IEE 94:143, and Armstrong-Helouvry, Dupont & Canudas de Wit 1994, Automatica"
+        " 30:1083",
         signature="oscillations decay in a straight line and stop off centre; loops keep their width however slow",
         mistaken_for=("hysteresis_boucwen", "plastic_set", "quadratic_drag"),
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
@@ -128,6 +154,11 @@ EFFECT = register(
             holds=dry_friction_holds,
             further=_creeping,
         ),
-        joint=Law("joint", (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL), dry_friction_at_joint, memory=1),
+        joint=Law(
+            "joint",
+            (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL, _STRIBECK, _STRIBECK_AT_JOINT, _LOPSIDED),
+            dry_friction_at_joint,
+            memory=1,
+        ),
     )
 )

@@ -153,6 +153,12 @@ class Contest:
         out.simulations = self.simulations.finely()
         return out
 
+    def smoothly(self) -> Contest:
+        """Return the same contest, sharing memory, with inputs that bend between samples, see `Simulations`."""
+        out = copy(self)
+        out.simulations = self.simulations.smoothly()
+        return out
+
     def remembering(self) -> Contest:
         """Return the same contest, sharing memory, that simulates nothing twice in a row."""
         out = copy(self)

@@ -4,19 +4,27 @@ The information criterion charges every parameter of a model's effects. One that
 registry) and may as well be neutral is not needed: without it the model leaves z^2 more and costs log(N) less, by the
 curvature at the fit (Wald 1943, Trans. Am. Math. Soc. 54:426). The best of the models without some of them counts, so
 that a law is not the worse for forms that it need not have.
+
+A model of joints that is named is fitted without them: a friction that may grow towards rest says little of its size,
+and particles that wander where nothing changes say nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
+from ...cases.case import BranchCase
 from .certain import covariance, distance
 from .contest import Contest
 from .fitted import FURTHER, FittedModels, Model, price
 from .nested import neutral_of
+from .refit import fit
+
+#: Steps of a fit without parameters that do nothing.
+WITHOUT = 12
 
 
 @dataclass(frozen=True)
@@ -41,7 +49,24 @@ def spare(fitted: FittedModels) -> None:
     for m in fitted.models:
         own = optional(contest, m)
         if own and not m.rests and fitted.criterion(m) - sum(x.price for x in own) < least + FURTHER:
-            m.idle = saved(contest, m, own)
+            m.idle = saved(contest, m, own)[0]
+
+
+def lean(fitted: FittedModels, model: Model) -> Model:
+    """Return a model of joints without the parameters that may as well be neutral, fitted without them.
+
+    The model itself where there are none, where it leaves more without them than they cost, and for branches.
+    """
+    contest = fitted.contest
+    own = [] if isinstance(contest.case, BranchCase) or model.rests else optional(contest, model)
+    gone = saved(contest, model, own)[1] if own else []
+    if not gone:
+        return model
+    batch = model.fit.batch.copy()
+    batch.active[:, [x.column for x in gone]] = False
+    fits = fit(contest, batch, WITHOUT)
+    more = (float(fits.cost[0]) - model.cost) / fitted.overdispersion
+    return model if more > sum(x.price for x in gone) else replace(model, fit=fits, idle=0.0)
 
 
 def optional(contest: Contest, model: Model) -> list[Optional]:
@@ -51,8 +76,8 @@ def optional(contest: Contest, model: Model) -> list[Optional]:
             if s.optional]  # fmt: skip
 
 
-def saved(contest: Contest, model: Model, own: Sequence[Optional]) -> float:
-    """Return what a model saves without those of its parameters that may as well be neutral."""
+def saved(contest: Contest, model: Model, own: Sequence[Optional]) -> tuple[float, list[Optional]]:
+    """Return what a model saves without those of its parameters that may as well be neutral, and which these are."""
     spread, columns = covariance(contest, model)
     left, best = [x for x in own if x.column in columns], 0.0
     out: list[Optional] = []
@@ -63,7 +88,7 @@ def saved(contest: Contest, model: Model, own: Sequence[Optional]) -> float:
             break
         best = gains[k]
         out.append(left.pop(k))
-    return best
+    return best, out
 
 
 def _left_more(

@@ -82,9 +82,9 @@ def test_a_cart_that_slides_by_millimetres_rubs(tmp_path):
     assert [a.name for a in found.effects] == ["dry_friction"], found.sentence
     assert found.gap.repaired < found.gap.base / 30
     assert {n: i.unit for n, i in found.parameters["dry_friction@0"].items()} == {
-        "torque_Nm": "N", "bend_rad": "m", "gradual": "1",
+        "torque_Nm": "N", "bend_rad": "m", "gradual": "1", "stribeck": "1", "stribeck_radps": "m/s", "lopsided": "1",
     }  # fmt: skip
-    assert {k.unit for k in content(found, drawn=False).numbers} == {"cm", "N", "m", ""}
+    assert {k.unit for k in content(found, drawn=False).numbers} == {"cm", "N", "m", "m/s", ""}
 
 
 RUBBING = """<mujoco><option timestep="5e-4"/><worldbody><body><joint name="axis" axis="0 -1 0" damping="0.004"

@@ -13,10 +13,12 @@ from bough.learn.gap.decide import Decision
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.candidates import names_for
 from bough.learn.gap.models.contest import Contest, activated
-from bough.learn.gap.models.fitted import Model, overdispersion
+from bough.learn.gap.models.fitted import FittedModels, Model, overdispersion
+from bough.learn.gap.models.idle import lean
 from bough.learn.gap.models.refit import fit
+from bough.learn.gap.models.unclaimed import unclaimed
 from bough.learn.gap.posterior import intervals, posterior_of
-from bough.learn.gap.run import Run
+from bough.learn.gap.run import Run, silent
 from bough.learn.hidden.joints import hide
 from bough.learn.inference.identify import pooled_sigma, split
 from bough.learn.replay.equation_error import noise_of, recordings_of, thinned
@@ -59,9 +61,15 @@ def fitted(case, effect):
     train = split(case)[0]
     trained = found.batch.copy()
     trained.weight[:] = torch.tensor([[float(j in train) for j in range(len(chosen))]]).to(trained.weight)
-    found = fit(contest, trained, 8)
-    model = Model((own,), found)
-    return contest, Decision("effects", Model((), base), model, model, (contest.candidates[own].acting,)), train
+    return contest, decided(contest, Model((), base), Model((own,), fit(contest, trained, 8))), train
+
+
+def decided(contest, base, model):
+    """Return the decision for a model as a diagnosis of it would."""
+    every = FittedModels(contest, base, [model])
+    final = lean(every, model)
+    named = tuple(contest.candidates[c].acting for c in model.members)
+    return Decision("effects", base, model, final, named, further=unclaimed(every, final, silent))
 
 
 @cache
@@ -70,7 +78,7 @@ def held(label, seed, beside=None):
     with TemporaryDirectory() as folder, one_thread():
         case, effect = hidden(Path(folder) / "case", label, seed, beside)
         contest, decision, train = fitted(case, effect)
-        found = intervals(contest, decision, decision.model.fit.batch, train, None)[decision.named[0].label]
+        found = intervals(contest, decision, decision.final.fit.batch, train, None)[decision.named[0].label]
     return [found[n].low <= x <= found[n].high for n, x in effect["params"].items()]
 
 
@@ -100,8 +108,8 @@ def test_particles_spread_as_far_as_recordings_differ(tmp_path, label, beside, s
     with one_thread():
         case, effect = hidden(tmp_path / "case", label, seed, beside)
         contest, decision, train = fitted(case, effect)
-        batch = decision.model.fit.batch
-        particles = posterior_of(contest, decision.model, batch, train, Run(Settings()))
+        batch = decision.final.fit.batch
+        particles = posterior_of(contest, decision, batch, train, Run(Settings()))
         rows = [intervals(contest, decision, batch, train, p)[decision.named[0].label] for p in (None, particles)]
     for name, truth in effect["params"].items():
         curved, sampled = (r[name] for r in rows)

@@ -14,7 +14,14 @@ from bough.learn.systems.model_file import model_of, write_model
 from bough.sim.base.errors import InputError
 from oracles.oscillator import decay, write_case
 
-FRICTION = {"torque_Nm": 0.3, "bend_rad": 0.002, "gradual": 0.5}
+FRICTION = {
+    "torque_Nm": 0.3,
+    "bend_rad": 0.002,
+    "gradual": 0.5,
+    "stribeck": 0.2,
+    "stribeck_radps": 0.7,
+    "lopsided": 0.1,
+}
 SPRING, DAMPER = {"name": "stiffness hinge", "value": 80.0, "unit": "N m/rad"}, "damping hinge"
 MODEL = JointModel("decay", "replay", (("hinge", "revolute"),), ("stiffness hinge", "damping hinge"),
                    ("N m/rad", "N m s/rad"), np.array([80.0, 4.5 / 3]))  # fmt: skip
@@ -45,19 +52,23 @@ def test_written_is_read(tmp_path, case):
         assert (again.names, again.units, again.fit, again.claimed) == (MODEL.names, MODEL.units, "replay", True)
 
 
+#: Units of friction along a slide.
+UNITS = {"torque_Nm": "N", "bend_rad": "m", "gradual": "1", "stribeck": "1", "stribeck_radps": "m/s", "lopsided": "1"}
+
+
 def test_a_joint_that_slides_has_newtons_and_metres(tmp_path):
     """Give a slide's spring, damper and friction N/m, N s/m, N and m, in the system and in the file."""
     case = slide(tmp_path / "case")
     from bough.learn.systems.branch import Unknowns
 
     system = system_of(case, Unknowns(effects=(Acting("dry_friction", 0),)))
-    assert [p.unit for p in system.parameters] == ["N/m", "N s/m", "N", "m", "1"]
+    assert [p.unit for p in system.parameters] == ["N/m", "N s/m", "N", "m", "1", "1", "m/s", "1"]
     names, units = MODEL.names, ("N/m", "N s/m")
     model = JointModel("cart", "replay", (("hinge", "prismatic"),), names, units, MODEL.values,
                        (Acting("dry_friction", 0, FRICTION),))  # fmt: skip
     write_model(tmp_path / "model.yaml", model)
     content = yaml.safe_load((tmp_path / "model.yaml").read_text())
-    assert content["effects"][0]["units"] == {"torque_Nm": "N", "bend_rad": "m", "gradual": "1"}
+    assert content["effects"][0]["units"] == UNITS
     assert model_of(tmp_path / "model.yaml", case).effects == model.effects
     content["effects"][0]["units"]["torque_Nm"] = "N m"
     (tmp_path / "model.yaml").write_text(yaml.safe_dump(content))
