@@ -46,9 +46,9 @@ LITTLE_LEFT = ((10.0, 0.6), (300.0, 0.7))
 #: the place of a diode 0.70 and a plastic set 0.78.
 EXPLAINED_TORQUE = 0.87
 #: The same where dry friction alone is named, which every gear has, of replays and of torques. Of replays a servo's
-#: explains 0.81 to 0.85, friction in the place of twenty laws on no list 0.44 at most, and one that may grow towards
-#: rest 0.753 in the place of a motor's cogging; of torques that of a real arm's two gears explains 0.52.
-EXPLAINED_FRICTION, EXPLAINED_FRICTION_TORQUE = 0.8, 0.4
+#: explains 0.78 to 0.85, friction in the place of twenty laws on no list 0.44 at most, and one that may grow towards
+#: rest 0.754 in the place of a motor's cogging; of torques that of a real arm's two gears explains 0.52.
+EXPLAINED_FRICTION, EXPLAINED_FRICTION_TORQUE = 0.77, 0.4
 #: The least that two effects must explain together at replayed joints, if their residual exceeds noise: right pairs
 #: explain 0.99 and more, two laws that make up one on no list 0.9.
 TOGETHER_JOINT = 0.95

@@ -84,16 +84,12 @@ def dry_friction_holds(j: Any, p: Any, r: Any):
 
 @wp.func
 def dry_friction_at_joint(j: Any, p: Any, r: Any):
-    """T (1 + u z / y), more one way than the other; larger at rest by s exp(-(w / v)^2), which leaves speed to drag.
+    """Friction whose bend is small beside the motion, by radians or by mm, and grows at rest by s exp(-(w / v)^2).
 
-    Its bend is small beside the motion, by radians or by mm.
+    The square leaves what happens at speed to drag.
     """
-    one = real(1.0, p.a)
-    w = slowness(j, p)
-    x = (r.memory.x + j.rate.x * j.step) / p.b
-    x = where_neg(one - x, one, x)
-    x = where_neg(x + one, real(0.0, x) - one, x)
-    return slipping(j, p, p.a * fma(p.f, x, one), p.b, where_neg(p.d, w, w * w), r)
+    x = slowness(j, p)
+    return slipping(j, p, p.a, p.b, where_neg(p.d, x, x * x), r)
 
 
 _TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")
@@ -120,7 +116,6 @@ _STRIBECK_RATE = EffectParameter(
 )  # fmt: skip
 #: What a joint does as it turns back is measured itself, and not from far away through springs.
 _STRIBECK_AT_JOINT = replace(_STRIBECK_RATE, low=lambda s: 0.002 * s.rate)
-_LOPSIDED = EffectParameter("lopsided", "1", -0.9, 0.9, tries=lambda s: [0.0], optional=True)
 
 
 def _creeping(s: Setting) -> Sequence[tuple[float, ...]]:
@@ -136,8 +131,7 @@ EFFECT = register(
         summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first,"
         " and from g = 0 to 1 comes ever more gradually to slip); it may be larger while it hardly moves,"
         " T (1 + s exp(-|w| / v)), of a measured joint T (1 + s exp(-(w / v)^2)), or smaller and creep there (s < 0);"
-        " in a branch it may begin each recording with the share k of the bend that the one before left, at a measured"
-        " joint be T (1 + u) one way and T (1 - u) the other",
+        " in a branch it may begin each recording with the share k of the bend that the one before left",
         source="Coulomb 1785; elastic before it slips, and gradual, as in Dahl 1968, Aerospace TOR-158; growing towards"
         " rest as in Tustin 1947, J. IEE 94:143, and Armstrong-Helouvry, Dupont & Canudas de Wit 1994, Automatica"
         " 30:1083",
@@ -156,7 +150,7 @@ EFFECT = register(
         ),
         joint=Law(
             "joint",
-            (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL, _STRIBECK, _STRIBECK_AT_JOINT, _LOPSIDED),
+            (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL, _STRIBECK, _STRIBECK_AT_JOINT),
             dry_friction_at_joint,
             memory=1,
         ),

@@ -174,7 +174,7 @@ def test_friction_of_an_axis_is_measured_by_its_torques(tmp_path):
 def test_predicted_efforts_are_rounded_like_measured_ones(tmp_path):
     """Predict the jumps of friction as the second filter leaves them of the sign of the rate under the first one."""
     case = replace(load_case(drive(tmp_path / "case", noise=0.0)), fit="torque")
-    acting = (Acting("dry_friction", 0, {"bend_rad": 1e-4, "gradual": 0.0}),)
+    acting = (Acting("dry_friction", 0, {"bend_rad": 1e-4, "gradual": 0.0, "stribeck": 0.0, "stribeck_radps": 1.0}),)
     full = recordings_of(case)
     chosen = [thinned(case, r) for r in full]
     system = EquationError(case, chosen, 1, unknowns=Unknowns(effects=acting))

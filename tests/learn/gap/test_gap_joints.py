@@ -82,7 +82,7 @@ def test_a_cart_that_slides_by_millimetres_rubs(tmp_path):
     assert [a.name for a in found.effects] == ["dry_friction"], found.sentence
     assert found.gap.repaired < found.gap.base / 30
     assert {n: i.unit for n, i in found.parameters["dry_friction@0"].items()} == {
-        "torque_Nm": "N", "bend_rad": "m", "gradual": "1", "stribeck": "1", "stribeck_radps": "m/s", "lopsided": "1",
+        "torque_Nm": "N", "bend_rad": "m", "gradual": "1", "stribeck": "1", "stribeck_radps": "m/s",
     }  # fmt: skip
     assert {k.unit for k in content(found, drawn=False).numbers} == {"cm", "N", "m", "m/s", ""}
 
