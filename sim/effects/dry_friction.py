@@ -114,8 +114,9 @@ _STRIBECK_RATE = EffectParameter(
     "stribeck_radps", "rad/s", lambda s: 0.01 * s.rate, lambda s: 0.5 * s.rate, neutral=1.0, scale="log", tries=1,
     optional=True,
 )  # fmt: skip
-#: What a joint does as it turns back is measured itself, and not from far away through springs.
-_STRIBECK_AT_JOINT = replace(_STRIBECK_RATE, low=lambda s: 0.002 * s.rate)
+#: What a joint does as it turns back is measured itself, and not from far away through springs. What changes with the
+#: rate beyond a tenth of the highest one is drag.
+_STRIBECK_AT_JOINT = replace(_STRIBECK_RATE, low=lambda s: 0.002 * s.rate, high=lambda s: 0.1 * s.rate, scale="linear")
 
 
 def _creeping(s: Setting) -> Sequence[tuple[float, ...]]:

@@ -55,7 +55,8 @@ def spare(fitted: FittedModels) -> None:
 def lean(fitted: FittedModels, model: Model) -> Model:
     """Return a model of joints without the parameters that may as well be neutral, fitted without them.
 
-    The model itself where there are none, where it leaves more without them than they cost, and for branches.
+    The model itself where there are none, where it leaves more without them than they cost, and for branches. Without
+    one of them another may do nothing either, such as the rate towards which friction grows that does not.
     """
     contest = fitted.contest
     own = [] if isinstance(contest.case, BranchCase) or model.rests else optional(contest, model)
@@ -66,7 +67,7 @@ def lean(fitted: FittedModels, model: Model) -> Model:
     batch.active[:, [x.column for x in gone]] = False
     fits = fit(contest, batch, WITHOUT)
     more = (float(fits.cost[0]) - model.cost) / fitted.overdispersion
-    return model if more > sum(x.price for x in gone) else replace(model, fit=fits, idle=0.0)
+    return model if more > sum(x.price for x in gone) else lean(fitted, replace(model, fit=fits, idle=0.0))
 
 
 def optional(contest: Contest, model: Model) -> list[Optional]:
