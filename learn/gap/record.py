@@ -43,8 +43,8 @@ def record(
         remarks += ("Geometry and mountings that are not quite as the file says explain"
                     f" {percent(beside.share)} of the motion (furthest: {beside.furthest}).",)  # fmt: skip
     if isinstance(repaired.model, BranchModel) and repaired.model.held_out is not None:
-        remarks += ("What is missing shows only in recordings that are held out otherwise; held out are"
-                    f" {' and '.join(repaired.model.held_out)} instead.",)  # fmt: skip
+        other = " and ".join(repaired.model.held_out)
+        remarks += (f"What is missing shows only in recordings that would be held out, so {other} is held out instead.",)
     if decision.ended:
         remarks += (f"{' and '.join(decision.ended)} would leave less, but at an end of its box where it is the law"
                     " that is named.",)  # fmt: skip
