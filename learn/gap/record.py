@@ -44,7 +44,7 @@ def record(
                     f" {percent(beside.share)} of the motion (furthest: {beside.furthest}).",)  # fmt: skip
     if isinstance(repaired.model, BranchModel) and repaired.model.held_out is not None:
         other = " and ".join(repaired.model.held_out)
-        remarks += (f"What is missing shows only in recordings that would be held out, so {other} is held out instead.",)
+        remarks += (f"What is missing shows only in recordings held out by default: {other} is held out instead.",)
     if decision.ended:
         remarks += (f"{' and '.join(decision.ended)} would leave less, but at an end of its box where it is the law"
                     " that is named.",)  # fmt: skip
