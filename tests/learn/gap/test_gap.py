@@ -303,6 +303,32 @@ def test_of_names_that_tie_one_that_is_on_for_certain_leads(monkeypatch):
     assert decide._borne_out(tied, tied.models[0]).members == (0,)
 
 
+def test_a_further_effect_as_weak_as_can_be_is_not_named(monkeypatch):
+    """Leave out of a pair the law that is as weak as its box allows, however much it gains, and keep a single one."""
+    weak = {2}
+    monkeypatch.setattr(decide, "doubtful", lambda _, model: ())
+    monkeypatch.setattr(decide, "pays", lambda *_: True)
+    monkeypatch.setattr(decide, "weakest", lambda _, model: tuple(weak & set(model.members)))
+    fitted = field_of({(0,): 1500, (2,): 1400, (0, 2): 1010})
+    assert decide._borne_out(fitted, fitted.models[2]).members == (0,)
+    assert decide._borne_out(fitted, fitted.models[1]).members == (2,)
+    weak.clear()
+    assert decide._borne_out(fitted, fitted.models[2]).members == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("low", "neutral", "at", "weak"),
+    [(0.02, 0.0, 0.0, True), (0.02, 0.0, 0.5, False), (-0.9, 0.0, 0.0, False), (0.02, 0.0, 0.005, True)],
+)
+def test_as_weak_as_can_be_is_at_the_end_of_the_box_that_is_next_to_off(low, neutral, at, weak):
+    """Tell a share at its least, to a hundredth of the box, and not a strength that is least far on its other side."""
+    specs = (SimpleNamespace(neutral=neutral),)
+    contest = SimpleNamespace(candidates=[SimpleNamespace(columns=(0,), specs=specs)], low=torch.zeros(1),
+                              high=torch.ones(1), parameters=[SimpleNamespace(low=low)])  # fmt: skip
+    model = SimpleNamespace(members=(0,), fit=SimpleNamespace(batch=SimpleNamespace(free=torch.tensor([[at]]))))
+    assert bool(decide.weakest(SimpleNamespace(contest=contest), model)) is weak
+
+
 def test_the_nearest_name_is_what_explains_most_alone():
     """Put forward of two effects the one that does more by itself, wherever it stands."""
     fitted = field_of({(0,): 2600, (2,): 1500, (0, 2): 1400})
