@@ -18,6 +18,9 @@ LEAST_BEND = wp.constant(wp.float64(1.0e-5))
 #: Least rate at which friction in a branch may change [rad/s], so that powers of a rate over it stay finite.
 SLOWEST = wp.constant(wp.float64(1.0e-6))
 
+#: Rate at a joint, over that at which friction changes, or its square, beyond which it has changed; powers stay finite.
+FAST = wp.constant(wp.float64(1.0e6))
+
 
 @wp.func
 def friction(j: Any, torque: Any, y: Any, gradual: Any, r: Any):
@@ -88,8 +91,10 @@ def dry_friction_at_joint(j: Any, p: Any, r: Any):
 
     The square leaves what happens at speed to drag.
     """
+    far = real(FAST, p.a)
     x = slowness(j, p)
-    return slipping(j, p, p.a, p.b, where_neg(p.d, x, x * x), r)
+    x = where_neg(p.d, x, x * x)
+    return slipping(j, p, p.a, p.b, where_neg(far - x, far, x), r)
 
 
 _TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")
@@ -116,7 +121,7 @@ _STRIBECK_RATE = EffectParameter(
 )  # fmt: skip
 #: What a joint does as it turns back is measured itself, and not from far away through springs. What changes with the
 #: rate beyond a tenth of the highest one is drag.
-_STRIBECK_AT_JOINT = replace(_STRIBECK_RATE, low=lambda s: 0.002 * s.rate, high=lambda s: 0.1 * s.rate, scale="linear")
+_STRIBECK_AT_JOINT = replace(_STRIBECK_RATE, low=0.0, high=lambda s: 0.1 * s.rate, neutral=0.0, scale="linear")
 
 
 def _creeping(s: Setting) -> Sequence[tuple[float, ...]]:
