@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...sim.effects import effect_of
+from ...sim.effects import EffectParameter, effect_of
 from ..cases.case import BranchCase, JointCase
 from ..replay.equation_error import fits_torque
 from ..systems.acting import Acting
+from ..systems.system import Parameter
 from .diagnosis import Settings, VerdictName
 from .evidence import ALARM, lacks_fit
 from .models.candidates import Candidate, passes_neutral
@@ -384,32 +385,28 @@ def stretched(fitted: FittedModels, model: Model) -> tuple[int, ...]:
     A law in another's place grows until it is stopped. The strength is an effect's first parameter; an end of its box
     at which it is off is no strength.
     """
-    contest = fitted.contest
     if fitted.reduced_chi2(model) <= QUIET:
         return ()
-    out = []
-    for c in model.members:
-        k, spec = contest.candidates[c].columns[0], contest.candidates[c].specs[0]
-        share = _way_up(fitted, model, k)
-        both = passes_neutral(spec, contest.parameters[k])
-        if share >= 1.0 - NEAR or (both and share <= NEAR):
-            out.append(c)
-    return tuple(out)
+    return tuple(c for c, p, spec, share in _strengths(fitted, model)
+                 if share >= 1.0 - NEAR or (passes_neutral(spec, p) and share <= NEAR))  # fmt: skip
 
 
 def weakest(fitted: FittedModels, model: Model) -> tuple[int, ...]:
     """Return the effects of a model that are as weak as their boxes allow.
 
     Such a law beside another one does something else than its name says: it corrects that one's form. Of 280 verdicts
-    on cases of exams four had one beside another, and none of the four was there.
+    on cases of exams four had one beside another, and none of the four was there. One that acts either way from off has
+    no weak end.
     """
-    out = []
+    return tuple(c for c, p, spec, share in _strengths(fitted, model) if spec.neutral <= p.low and share <= NEAR)
+
+
+def _strengths(fitted: FittedModels, model: Model) -> Iterator[tuple[int, Parameter, EffectParameter, float]]:
+    """Yield effects, their first parameters, as unknowns and as registered, and how far up their boxes these are."""
     for c in model.members:
-        k, spec = fitted.contest.candidates[c].columns[0], fitted.contest.candidates[c].specs[0]
-        from_off = spec.neutral <= fitted.contest.parameters[k].low  # and not either way from it
-        if from_off and _way_up(fitted, model, k) <= NEAR:
-            out.append(c)
-    return tuple(out)
+        own = fitted.contest.candidates[c]
+        k = own.columns[0]
+        yield c, fitted.contest.parameters[k], own.specs[0], _way_up(fitted, model, k)
 
 
 def leading(fitted: FittedModels, model: Model) -> int:

@@ -141,7 +141,7 @@ def _deviations(contest: Contest, decision: Decision, fitted: Batch, train: Sequ
     """Return the standard deviation of each active free coordinate at the fit, by parameter index.
 
     By the curvature there and the residuals' size and correlation (`inference.correlated`); at joints also by what the
-    recordings say apart, where the model is not quite right, and by what a finer step changes.
+    recordings say apart, where the model is not quite right, by what is not named, and by how they are replayed.
     """
     residual, derivative, columns = contest.linearise(fitted)
     normal, _ = normal_equations(contest, fitted, residual, derivative, columns)
@@ -155,8 +155,8 @@ def _deviations(contest: Contest, decision: Decision, fitted: Batch, train: Sequ
 
 def _beyond(contest: Contest, decision: Decision, fitted: Batch, train: Sequence[int]) -> torch.Tensor:
     """Return the deviations of the active free coordinates that neither noise nor correlation explains, shape [q]."""
-    own = _apart(contest, fitted, train).hypot(_stepped(contest, fitted))
-    return own.hypot(_otherwise(decision, fitted)).hypot(_between(contest, decision, fitted))
+    own = _apart(contest, fitted, train).hypot(_simulated(contest, decision, fitted))
+    return own.hypot(_otherwise(decision, fitted))
 
 
 def _otherwise(decision: Decision, fitted: Batch) -> torch.Tensor:
@@ -167,29 +167,22 @@ def _otherwise(decision: Decision, fitted: Batch) -> torch.Tensor:
     return (decision.further.fit.batch.free - decision.final.fit.batch.free)[0, active].abs()
 
 
-def _stepped(contest: Contest, fitted: Batch) -> torch.Tensor:
-    """Return the error of the active free coordinates by the length of the step, at joints that are replayed; else 0.
+def _simulated(contest: Contest, decision: Decision, fitted: Batch) -> torch.Tensor:
+    """Return the error of the active free coordinates by how joints are replayed; zero where they are not. Shape [q].
 
-    Twice the change that half the step makes: laws such as friction are of first order in the step. Shape [q].
-    """
-    if not fitted.start.numel():
-        return fitted.free.new_zeros(int(fitted.active[0].sum()))
-    coarse, fine = fit(contest, fitted, ALONE), fit(contest.finely(), fitted, ALONE)
-    return 2.0 * (fine.batch.free - coarse.batch.free)[0, fitted.active[0]].abs()
-
-
-def _between(contest: Contest, decision: Decision, fitted: Batch) -> torch.Tensor:
-    """Return what the force between samples does to the active free coordinates of replayed joints, shape [q].
-
-    Zero without a delay. A force that is late is looked up between samples, where it is taken to be linear; one that is
-    smooth differs by an eighth of its second difference at most (de Boor 2001, A Practical Guide to Splines, II).
+    Twice the change that half the step makes: laws such as friction are of first order in the step. Beside a delay also
+    what the force does between samples, where one that is late is looked up on a line; one that is smooth differs by an
+    eighth of its second difference at most (de Boor 2001, A Practical Guide to Splines, II).
     """
     active = fitted.active[0]
-    late = any(contest.candidates[c].law.kind == "time_delay" for c in decision.model.members)
-    if not fitted.start.numel() or not late:
+    if not fitted.start.numel():
         return fitted.free.new_zeros(int(active.sum()))
-    linear, smooth = fit(contest, fitted, ALONE), fit(contest.smoothly(), fitted, ALONE)
-    return (smooth.batch.free - linear.batch.free)[0, active].abs()
+    own = fit(contest, fitted, ALONE).batch.free
+    fine = fit(contest.finely(), fitted, ALONE).batch.free
+    error = 2.0 * (fine - own)[0, active].abs()
+    if not any(contest.candidates[c].law.kind == "time_delay" for c in decision.model.members):
+        return error
+    return error.hypot((fit(contest.smoothly(), fitted, ALONE).batch.free - own)[0, active].abs())
 
 
 def _apart(contest: Contest, fitted: Batch, train: Sequence[int]) -> torch.Tensor:

@@ -45,14 +45,14 @@ def friction(j: Any, torque: Any, y: Any, gradual: Any, r: Any):
 
 
 @wp.func
-def slowness(j: Any, p: Any):
-    """x = |w| / v, the rate over that at which friction changes."""
+def changing(p: Any):
+    """v, the rate at which friction changes, such that powers of a rate over it stay finite."""
     slowest = real(SLOWEST, p.a)
-    return norm(j.rate) / where_neg(p.e - slowest, slowest, p.e)
+    return where_neg(p.e - slowest, slowest, p.e)
 
 
 @wp.func
-def slipping(j: Any, p: Any, torque: Any, y: Any, x: Any, r: Any):
+def slipping(j: Any, p: Any, y: Any, x: Any, r: Any):
     """T (1 + s exp(-x)): friction that is larger at rest (s > 0), or smaller and creeps there (s < 0).
 
     The exponential is 1 / (1 + x + x^2/2 + x^3/6 + x^4/24), within 0.012. What is missing at rest with x = |w| / v,
@@ -60,21 +60,19 @@ def slipping(j: Any, p: Any, torque: Any, y: Any, x: Any, r: Any):
     """
     o = real(0.0, p.a)
     one = real(1.0, o)
-    slowest = real(SLOWEST, o)
-    v = where_neg(p.e - slowest, slowest, p.e)
     slow = growth(x)
     fade = one / fma(x, slow, one)
     more = where_neg(p.d, o, p.d)
     creeps = where_neg(p.d, o - p.d, o)
-    out = friction(j, torque * (fma(more, fade, one) - creeps), y, p.c, r)
-    return type(r)(out.torque, out.memory, out.stiffness, fma(torque * creeps / v, slow * fade, out.damping))
+    out = friction(j, p.a * (fma(more, fade, one) - creeps), y, p.c, r)
+    return type(r)(out.torque, out.memory, out.stiffness, fma(p.a * creeps / changing(p), slow * fade, out.damping))
 
 
 @wp.func
 def dry_friction(j: Any, p: Any, r: Any):
     """Friction in a branch, of which the bend may be as small as float32 tells apart."""
     least = real(LEAST_BEND, p.a)
-    return slipping(j, p, p.a, where_neg(p.b - least, least, p.b), slowness(j, p), r)
+    return slipping(j, p, where_neg(p.b - least, least, p.b), norm(j.rate) / changing(p), r)
 
 
 @wp.func
@@ -92,9 +90,9 @@ def dry_friction_at_joint(j: Any, p: Any, r: Any):
     The square leaves what happens at speed to drag.
     """
     far = real(FAST, p.a)
-    x = slowness(j, p)
+    x = norm(j.rate) / changing(p)
     x = where_neg(p.d, x, x * x)
-    return slipping(j, p, p.a, p.b, where_neg(far - x, far, x), r)
+    return slipping(j, p, p.b, where_neg(far - x, far, x), r)
 
 
 _TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")

@@ -16,7 +16,7 @@ def unclaimed(fitted: FittedModels, model: Model, progress: Progress) -> Model |
 
     Better by the information criterion. None for branches.
     """
-    if isinstance(fitted.contest.case, BranchCase) or not model.members:
+    if isinstance(fitted.contest.case, BranchCase):
         return None
     best = min(next_level(fitted.contest, [model], progress), key=fitted.criterion, default=None)
     added = 0.0 if best is None else penalty(fitted.contest, sorted(set(best.members) - set(model.members)))
