@@ -25,8 +25,10 @@ from .schema import (
     BranchTrajectoryMeta,
     ColumnMeta,
     GraspMeta,
+    InputMeta,
     JointMeta,
     JointTrajectoryMeta,
+    OutputMeta,
     TimeColumn,
     read_meta,
 )
@@ -91,11 +93,13 @@ class JointTrajectory(Trajectory):
         effort: Generalised forces on the driven joints [N m or N], columns as in `JointCase.inputs`, shape [T, I].
         output: Measured quantities, scaled, columns as in `JointCase.outputs`, shape [T, C].
         step: What each was rounded to before it was put on another grid, 0 where it was not, shape [C].
+        effort_step: The same of the efforts, shape [I].
     """
 
     effort: Array
     output: Array
     step: Array
+    effort_step: Array
 
 
 @dataclass(frozen=True)
@@ -487,6 +491,11 @@ def joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) -
         _check_span(folder / item.file, column, by_name[column] * scale)
     efforts = [by_name[i.column] * i.scale for i in inputs]
     as_read = dict(zip(read.others, read.columns.values.T[-len(read.others) :], strict=True))
+
+    def rounded(columns: Sequence[InputMeta] | Sequence[OutputMeta]) -> Array:
+        """Return what columns were rounded to before they were put on another grid, 0 where they were not."""
+        return np.array([resolution([as_read[c.column] * c.scale]) if read.moved else 0.0 for c in columns])
+
     trajectory = JointTrajectory(
         file=item.file,
         t=step * np.arange(len(read.t), dtype=np.float64),
@@ -494,6 +503,7 @@ def joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) -
         replicate_of=None if item.replicate_of is None else item.replicate_of - 1,
         effort=np.stack(efforts, axis=-1) if efforts else np.zeros((len(read.t), 0)),
         output=np.stack([(by_name[o.column] - o.offset) * o.scale for o in meta.outputs], axis=-1),
-        step=np.array([resolution([as_read[o.column] * o.scale]) if read.moved else 0.0 for o in meta.outputs]),
+        step=rounded(meta.outputs),
+        effort_step=rounded(inputs),
     )
     return trajectory, step

@@ -151,7 +151,7 @@ def torque_noise(case: JointCase, second: Array | None = None) -> NoiseEstimate:
     """
     from scipy.signal import freqz, sosfreqz  # slow to import, and bad input is refused before it is needed
 
-    efforts = tuple(replace(t, output=t.effort) for t in case.trajectories)
+    efforts = tuple(replace(t, output=t.effort, step=t.effort_step) for t in case.trajectories)
     raw = estimate_noise(replace(case, outputs=case.channels, trajectories=efforts))
     cutoff = case.filter_hz if second is None else wider(case).filter_hz
     _, response = sosfreqz(_filter(case.dt, cutoff), 4096)

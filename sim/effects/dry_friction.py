@@ -140,9 +140,8 @@ EFFECT = register(
         summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first,"
         " and from g = 0 to 1 comes ever more gradually to slip); it may be larger while it hardly moves,"
         " T (1 + s exp(-|w| / v)), of a measured joint T (1 + s exp(-(w / v)^2)), or smaller and creep there (s < 0);"
-        " T may grow with the load, by mu |K phi| in a branch and by mu |u| where an effort u drives a joint; in a branch it"
-        " may begin each recording with the share k of the bend that the one"
-        " before left",
+        " T may grow with the load, by mu |K phi| in a branch and by mu |u| where an effort u drives a joint; in a"
+        " branch it may begin each recording with the share k of the bend that the one before left",
         source="Coulomb 1785; elastic before it slips, and gradual, as in Dahl 1968, Aerospace TOR-158; growing towards"
         " rest as in Tustin 1947, J. IEE 94:143, and Armstrong-Helouvry, Dupont & Canudas de Wit 1994, Automatica"
         " 30:1083; growing with the load as in Hamon, Gautier & Garrec 2010, IROS",

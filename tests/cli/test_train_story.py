@@ -84,7 +84,8 @@ def test_a_run_among_branches_with_effects(bough, tmp_path):
     expected = [["tip_mass", "mass_kg", 0.08], ["tip_mass", "aside_x_m", 0.0], ["tip_mass", "aside_y_m", 0.0],
                 ["dry_friction", "torque_Nm", 0.21 / spring],
                 *(["dry_friction", *rest] for rest in (["bend_rad", 5e-4], ["gradual", 0.0], ["stribeck", 0.0],
-                                                       ["stribeck_radps", 1.0], ["kept", 0.0], ["load", 0.0]))]  # fmt: skip
+                                                       ["stribeck_radps", 1.0], ["kept", 0.0],
+                                                       ["load", 0.0]))]  # fmt: skip
     given = settings(out)["scene"]["effects"]
     assert [row for row in given if row[0] not in OTHERS] == expected
     rest = {(name, key): value for name, key, value in given if name in OTHERS}

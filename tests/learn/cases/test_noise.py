@@ -9,6 +9,7 @@ import pytest
 from bough.learn.cases.case import load_case
 from bough.learn.cases.columns import resolution
 from bough.learn.cases.noise import difference_sigma, estimate_noise, pool, quiet_sigma, replicate_sigma
+from bough.learn.replay.equation_error import torque_noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.branch_case import make_branch_case
@@ -145,3 +146,24 @@ def test_counts_on_another_grid_are_still_rounded(tmp_path):
     )
     (sigma,) = estimate_noise(load_case(tmp_path)).sigma
     assert sigma >= 0.99 * 2.0 * count / np.sqrt(12.0)
+
+
+def test_efforts_have_the_noise_and_rounding_of_their_own(tmp_path):
+    """One effort beside a position and a velocity, on another grid: one number, of the effort's rounding at least."""
+    count, t = 0.5, np.cumsum(np.random.default_rng(2).uniform(0.009, 0.011, 600))
+    effort = np.round(2.0 * np.sin(t) / count) * count
+    rows = "\n".join(f"{a:.6f},{np.cos(a):.6f},{-np.sin(a):.6f},{u:.2f}" for a, u in zip(t, effort, strict=True))
+    (tmp_path / "run.csv").write_text("time_s,angle,rate,torque\n" + rows + "\n")
+    (tmp_path / "meta.yaml").write_text(
+        "format: joint-gap-case/1\nresample_hz: 100\nfit: torque\n"
+        "mechanism: {joints: [{name: a, type: revolute, inertia: null, stiffness: null, damping: null}]}\n"
+        "input: {joint: a, column: torque, scale: 1.0, hold: linear}\n"
+        "outputs: [{joint: a, quantity: position, column: angle, scale: 1.0},"
+        " {joint: a, quantity: velocity, column: rate, scale: 1.0}]\n"
+        "trajectories: [{file: run.csv, t_start_s: 0.0}]\n"
+    )
+    case = load_case(tmp_path)
+    assert case.trajectories[0].effort_step == [count]
+    found = torque_noise(case)
+    assert found.channel == ("torque",) and found.sigma.shape == (1,)
+    assert found.sigma[0] > 0.0

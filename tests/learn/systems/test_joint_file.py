@@ -14,8 +14,7 @@ from bough.learn.systems.model_file import model_of, write_model
 from bough.sim.base.errors import InputError
 from oracles.oscillator import decay, write_case
 
-FRICTION = {"torque_Nm": 0.3, "bend_rad": 0.002, "gradual": 0.5, "stribeck": 0.2, "stribeck_radps": 0.7,
-            "load": 0.1}
+FRICTION = {"torque_Nm": 0.3, "bend_rad": 0.002, "gradual": 0.5, "stribeck": 0.2, "stribeck_radps": 0.7, "load": 0.1}
 SPRING, DAMPER = {"name": "stiffness hinge", "value": 80.0, "unit": "N m/rad"}, "damping hinge"
 MODEL = JointModel("decay", "replay", (("hinge", "revolute"),), ("stiffness hinge", "damping hinge"),
                    ("N m/rad", "N m s/rad"), np.array([80.0, 4.5 / 3]))  # fmt: skip
