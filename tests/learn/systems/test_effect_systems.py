@@ -282,7 +282,7 @@ def test_a_replay_does_not_remember_the_one_before(tmp_path, form):
 
 BRANCH_TRUTH = {
     "cubic_stiffness": (6.0, 0.5, 0.3),
-    "dry_friction": (0.25, 0.004, 0.4, 0.5, 0.8, 0.5),
+    "dry_friction": (0.25, 0.004, 0.4, 0.5, 0.8, 0.5, 0.1),
     "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6, 1.0, 0.5),
     "quadratic_drag": (25.0, 0.4, 0.3, 0.6),
     "viscoelastic_sls": (0.5, 0.3, 0.4, 0.04),
@@ -300,7 +300,7 @@ BRANCH_TRUTH = {
     "gravity_comp_error": (0.15, 0.6, 0.1, -0.1, 0.2),
     "anisotropic_stiffness": (0.8, 0.7, 0.3),
     "bilinear_stiffness": (-0.5, 1.2, 0.02, 0.03),
-    "bending_torsion_coupling": (0.4, 0.9),
+    "bending_torsion_coupling": (0.4, 0.9, 0.5, 0.3),
 }
 FIXED_AT_TRUTH = {
     "force_bias": ("opened",),  # nothing is read of an open gripper
@@ -313,6 +313,7 @@ FIXED_AT_TRUTH = {
     "wind_gust": ("frequency_Hz", "across", "crown"),
     "steady_wind": ("across", "crown"),
     "partial_rupture": ("moment_s",),
+    "bending_torsion_coupling": ("bending", "twist"),  # of one joint (1 + b) (1 - kappa^2) alone is seen
 }
 
 
