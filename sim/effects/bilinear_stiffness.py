@@ -59,12 +59,8 @@ _WIDTH = EffectParameter(
     optional=True,
 )  # fmt: skip
 #: How far the spring goes on from rest as it is at rest before it softens. It does not stiffen from an angle on: a cord
-#: that is slack at rest would pass for that. One that softens far from rest is hardly told from one that is softer
-#: about an axis both ways.
-_OFF = EffectParameter(
-    "off_rad", "rad", 0.0, lambda s: 0.7 * s.angle, tries=lambda s: [0.0], optional=True,
-    becomes="anisotropic_stiffness", becomes_from=0.25,
-)  # fmt: skip
+#: that is slack at rest would pass for that.
+_OFF = EffectParameter("off_rad", "rad", 0.0, lambda s: 0.7 * s.angle, tries=lambda s: [0.0], optional=True)
 
 EFFECT = register(
     Effect(

@@ -52,8 +52,8 @@ def changing(p: Any):
 
 
 @wp.func
-def slipping(j: Any, p: Any, size: Any, y: Any, x: Any, r: Any):
-    """T (1 + s exp(-x)), T = ``size``: friction that is larger at rest (s > 0), or smaller and creeps there (s < 0).
+def slipping(j: Any, p: Any, y: Any, x: Any, r: Any):
+    """T (1 + s exp(-x)): friction that is larger at rest (s > 0), or smaller and creeps there (s < 0).
 
     The exponential is 1 / (1 + x + x^2/2 + x^3/6 + x^4/24), within 0.012. What is missing at rest with x = |w| / v,
     -s (1 - exp(-x)) T, sticks nowhere: a damper of that over |w|, implicit in the rate.
@@ -64,16 +64,15 @@ def slipping(j: Any, p: Any, size: Any, y: Any, x: Any, r: Any):
     fade = one / fma(x, slow, one)
     more = where_neg(p.d, o, p.d)
     creeps = where_neg(p.d, o - p.d, o)
-    out = friction(j, size * (fma(more, fade, one) - creeps), y, p.c, r)
-    return type(r)(out.torque, out.memory, out.stiffness, fma(size * creeps / changing(p), slow * fade, out.damping))
+    out = friction(j, p.a * (fma(more, fade, one) - creeps), y, p.c, r)
+    return type(r)(out.torque, out.memory, out.stiffness, fma(p.a * creeps / changing(p), slow * fade, out.damping))
 
 
 @wp.func
 def dry_friction(j: Any, p: Any, r: Any):
-    """Friction in a branch, of size T + mu |K phi|, of which the bend may be as small as float32 tells apart."""
+    """Friction in a branch, of which the bend may be as small as float32 tells apart."""
     least = real(LEAST_BEND, p.a)
-    size = fma(p.g * j.stiffness, norm(j.angle), p.a)
-    return slipping(j, p, size, where_neg(p.b - least, least, p.b), norm(j.rate) / changing(p), r)
+    return slipping(j, p, where_neg(p.b - least, least, p.b), norm(j.rate) / changing(p), r)
 
 
 @wp.func
@@ -88,12 +87,12 @@ def dry_friction_holds(j: Any, p: Any, r: Any):
 def dry_friction_at_joint(j: Any, p: Any, r: Any):
     """Friction whose bend is small beside the motion, by radians or by mm, and grows at rest by s exp(-(w / v)^2).
 
-    The square leaves what happens at speed to drag. T grows by mu |u| with the actuator's effort u.
+    The square leaves what happens at speed to drag.
     """
     far = real(FAST, p.a)
     x = norm(j.rate) / changing(p)
     x = where_neg(p.d, x, x * x)
-    return slipping(j, p, fma(p.f, norm(j.effort), p.a), p.b, where_neg(far - x, far, x), r)
+    return slipping(j, p, p.b, where_neg(far - x, far, x), r)
 
 
 _TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")
@@ -121,16 +120,12 @@ _STRIBECK_RATE = EffectParameter(
 #: What a joint does as it turns back is measured itself, and not from far away through springs. What changes with the
 #: rate beyond a tenth of the highest one is drag.
 _STRIBECK_AT_JOINT = replace(_STRIBECK_RATE, low=0.0, high=lambda s: 0.1 * s.rate, neutral=0.0, scale="linear")
-#: What presses on what rubs may be what bends the joint, as in the teeth of a gear.
-_LOAD = EffectParameter("load", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True)
 
 
-def _further(s: Setting) -> Sequence[tuple[float, ...]]:
-    """Friction that vanishes at rest, and friction that the load makes."""
+def _creeping(s: Setting) -> Sequence[tuple[float, ...]]:
+    """Friction that vanishes at rest."""
     torques, rates = [t * s.torque for t in (0.03, 0.2, 1.0)], [v * s.rate for v in (0.05, 0.4)]
-    creeping = product(torques, [5e-4], [0.0], [-1.0], rates, [0.0], [0.0])
-    loaded = product([0.01 * s.torque], [5e-4], [0.0], [0.0], [1.0], [0.0], [0.05, 0.25])
-    return [*creeping, *loaded]
+    return list(product(torques, [5e-4], [0.0], [-1.0], rates, [0.0]))
 
 
 EFFECT = register(
@@ -140,27 +135,26 @@ EFFECT = register(
         summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first,"
         " and from g = 0 to 1 comes ever more gradually to slip); it may be larger while it hardly moves,"
         " T (1 + s exp(-|w| / v)), of a measured joint T (1 + s exp(-(w / v)^2)), or smaller and creep there (s < 0);"
-        " T may grow with the load, by mu |K phi| in a branch and by mu |u| where an effort u drives a joint; in a"
-        " branch it may begin each recording with the share k of the bend that the one before left",
+        " in a branch it may begin each recording with the share k of the bend that the one before left",
         source="Coulomb 1785; elastic before it slips, and gradual, as in Dahl 1968, Aerospace TOR-158; growing towards"
         " rest as in Tustin 1947, J. IEE 94:143, and Armstrong-Helouvry, Dupont & Canudas de Wit 1994, Automatica"
-        " 30:1083; growing with the load as in Hamon, Gautier & Garrec 2010, IROS",
+        " 30:1083",
         signature="oscillations decay in a straight line and stop off centre; loops keep their width however slow",
         mistaken_for=("hysteresis_boucwen", "plastic_set", "quadratic_drag"),
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
         branch=Law(
             "joint",
-            (_TORQUE, _BEND, _GRADUAL, _STRIBECK, _STRIBECK_RATE, kept_share(0.0), _LOAD),
+            (_TORQUE, _BEND, _GRADUAL, _STRIBECK, _STRIBECK_RATE, kept_share(0.0)),
             dry_friction,
             memory=1,
             persistent=True,
             keeps="kept",
             holds=dry_friction_holds,
-            further=_further,
+            further=_creeping,
         ),
         joint=Law(
             "joint",
-            (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL, _STRIBECK, _STRIBECK_AT_JOINT, _LOAD),
+            (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL, _STRIBECK, _STRIBECK_AT_JOINT),
             dry_friction_at_joint,
             memory=1,
         ),

@@ -395,21 +395,6 @@ def test_anisotropy_and_coupling_equal_a_matrix_spring(tmp_path):
     np.testing.assert_allclose(settled(stick(case, **on)[0]), expected, atol=3e-4)
 
 
-def test_a_slanting_stiff_axis_equals_a_matrix_spring(tmp_path):
-    """Rest where a spring does that is stiffer by r about an axis between bending and twist, K (1 + r p p^T)."""
-    case = stick_case(tmp_path / "c", [held()])
-    r, slant, chi = 1.8, 0.6, 1.1
-    p = np.array([np.cos(chi) * np.cos(slant), np.sin(chi) * np.cos(slant), np.sin(slant)])
-    bending, twist = r * np.cos(slant) ** 2, r * np.sin(slant) ** 2
-    kappa = r * np.sin(slant) * np.cos(slant) / np.sqrt((1 + bending) * (1 + twist))
-    matrix = KS * (np.eye(3) + r * np.outer(p, p))
-    expected = resting(case, lambda phi: -matrix @ phi, lambda R: FORCE)
-    plain = resting(case, lambda phi: -KS * phi, lambda R: FORCE)
-    assert np.linalg.norm(expected - plain) > 0.1 * np.linalg.norm(plain)
-    on = {"coupling": kappa, "axis_rad": chi, "bending": bending, "twist": twist}
-    np.testing.assert_allclose(settled(stick(case, bending_torsion_coupling=on)[0]), expected, atol=3e-4)
-
-
 @pytest.mark.parametrize("twist", [0.0, 0.6])
 def test_of_twist_a_share_plays(tmp_path, twist):
     """Rest where a round gap does that sees a share of the twist, which a coupling brings, and gives as much of it."""
