@@ -184,13 +184,15 @@ class Service:
             else:  # too late for this one: go on from here instead of hurrying after it
                 due = time.monotonic()
 
-    def _tick(self, now: float) -> None:
-        sample = self._read(now)
-        touch = 0.0 if self._feeler is None else self._feeler.feel(now, sample, self.guard.velocity)
+    def _tick(self, began: float) -> None:
+        sample = self._read(began)
+        touch = 0.0 if self._feeler is None else self._feeler.feel(began, sample, self.guard.velocity)
         with self._lock:
+            # a lease that ends while the arm is read has ended: the guard's time, and the log's, is that of its step
+            now = time.monotonic()
             velocity = self.guard.step(now, sample, touch, self._trouble)
             self._number += 1
-            self._times.append(now)
+            self._times.append(began)
             tick = self._described(now, sample, touch)
         self._send(velocity)
         self._grip()

@@ -5,6 +5,7 @@ import ssl
 import subprocess
 import sys
 import textwrap
+import time
 import urllib.request
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from bough.learn.robot.access import Access, is_loopback
 from bough.learn.robot.backend import Sample
 from bough.learn.robot.guard import Guard
-from bough.learn.robot.limits import default_limits
+from bough.learn.robot.limits import RAMP, default_limits
 from bough.learn.robot.log import joint_columns, read_log
 from bough.learn.robot.service import Service
 from bough.learn.robot.workspace import Workspace
@@ -52,8 +53,6 @@ def service_of(folder, arm):
 
 
 def run(service, seconds, done=lambda: False):
-    import time
-
     end = time.monotonic() + seconds
     while time.monotonic() < end and not done():
         time.sleep(0.01)
@@ -96,6 +95,49 @@ def test_an_arm_that_fails_stops_and_one_that_comes_back_stays_stopped(tmp_path)
     assert service.guard.stop and service.command("a", "velocity", np.full(6, 0.1))[0].reason == "stopped"
     assert service.arm(1).accepted
     service.close()
+
+
+class SlowArm(Arm):
+    """An arm whose reads take 40 ms, which keeps what it was sent and when."""
+
+    def __init__(self):
+        super().__init__()
+        self.sent = []
+
+    def read(self, now):
+        time.sleep(0.04)
+        return super().read(now)
+
+    def send(self, velocity):
+        super().send(velocity)
+        self.sent.append((time.monotonic(), np.abs(velocity).max()))
+
+
+def test_a_lease_that_ends_while_the_arm_is_read_has_ended(tmp_path):
+    """Read an arm slowly: each tick is logged at the time of the guard's step, and no lease outlives its deadline.
+
+    The command is taken while a read goes on. A guard that is stepped with the time of the tick's beginning keeps the
+    arm moving up to a read's 40 ms beyond the deadline, and logs the command with a tick from before it was sent.
+    """
+    arm = SlowArm()
+    service = service_of(tmp_path, arm)
+    service.start()
+    run(service, 10.0, lambda: service.latest and service.latest.number > 5)
+    taken, done = [], []
+    for _ in range(40):  # a tenth of a second of leases, begun anywhere in a tick
+        taken.append(time.monotonic())
+        assert service.command("a", "velocity", np.full(6, 0.2))[0].accepted
+        done.append(time.monotonic())
+        time.sleep(0.0137)
+    run(service, 10.0, lambda: arm.sent[-1][0] > done[-1] + 0.4)
+    service.close()
+    log = read_log(tmp_path)
+    accepted, stamps = np.array(log["accepted"], int), np.array(log["time_s"], float) + service._began
+    counted = np.searchsorted(taken, stamps + 1e-4, side="right")  # begun before a tick's time; the log rounds
+    assert (accepted <= counted).all() and accepted[-1] == 40
+    assert joint_columns(log, "dq_cmd{}_rad_s").max() > 0.1
+    speeds = joint_columns(log, "dq_cmd{}_rad_s")[stamps > done[-1] + LIMITS.lease + RAMP + 1e-4]
+    assert len(speeds) > 2 and not speeds.any()
 
 
 def test_a_fault_of_our_own_sends_zeros(tmp_path, monkeypatch):
@@ -189,7 +231,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from bough.learn.robot.backend import Sample
-from bough.learn.robot.limits import default_limits
+from bough.learn.robot.limits import RAMP, default_limits
 from bough.learn.robot.serve import Address, serve
 from bough.sim.arms.jaco2 import jaco2
 
