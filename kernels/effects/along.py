@@ -51,7 +51,7 @@ def joint_law_kernel(law: Any, memory: int) -> Any:
             w = rate_in[m, k]
             j = JointState(
                 Vec(real(q[0], o), real(q[1], o), real(q[2], o)), Vec(real(w[0], o), real(w[1], o), real(w[2], o)),
-                zero, real(spring, o), real(wp.float64(k) * step, o), real(step, o),
+                zero, zero, real(spring, o), real(wp.float64(k) * step, o), real(step, o),
             )  # fmt: skip
             if wp.static(memory == 2):
                 long = law(j, p, LongResponse(zero, first, second, o, o))

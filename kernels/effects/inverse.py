@@ -47,9 +47,13 @@ def effect_efforts_kernel(width: int, precision: int, terms: tuple[Term, ...]) -
                 i = moved[w]
                 time = begins[j] + wp.float64(k) * step
                 rate = real(now[1], o)
+                effort = o
+                for c in range(count):
+                    if watched[c] == i:
+                        effort = effort_in_out[e, k * count + c]
                 state = JointState(
-                    Vec(real(now[0], o), o, o), Vec(rate, o, o), m.preload[e, i], m.stiffness[e, i], real(time, o),
-                    real(step, o),
+                    Vec(real(now[0], o), o, o), Vec(rate, o, o), m.preload[e, i], Vec(effort, o, o),
+                    m.stiffness[e, i], real(time, o), real(step, o),
                 )  # fmt: skip
                 r = law(e, i, fx, state, Response(zero, zero, o, o))
                 for c in range(count):

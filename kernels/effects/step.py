@@ -197,9 +197,11 @@ def blow(e: int, row: int, m: Any, fx: Any, s: Any, time: Any, strips: wp.Functi
 
 
 @wp.func
-def torque_of(e: int, row: int, i: int, m: Any, x: Any, fx: Any, h: wp.float64, time: Any, strain: wp.Function):
+def torque_of(
+    e: int, row: int, i: int, m: Any, x: Any, u: Any, fx: Any, h: wp.float64, time: Any, strain: wp.Function
+):  # fmt: skip
     """Return the laws' effort at a joint; its damper becomes what they make of it."""
-    r = strain(e, i, m, x, fx, h, time)
+    r = strain(e, i, m, x, u.effort[e, i], fx, h, time)
     m.damping[e, i] = effective_damping(m.kind[e, i], fx.damping[e, i], m.stiffness[e, i], r.stiffness, r.damping, h)
     fx.effort[row, i] = r.torque
     return r.torque
@@ -228,7 +230,7 @@ def fold_laws(
             effort = effort + held_at(e, i, m, x, fx.hold[row, i])
         if at.joint >= 0:
             if fx.active[e, at.joint] == 1:
-                effort = effort + torque_of(e, row, i, m, x, fx, h, time, strain)
+                effort = effort + torque_of(e, row, i, m, x, u, fx, h, time, strain)
             else:
                 m.damping[e, i] = fx.damping[e, i]
         B = skew(mc, s.U[row, i])

@@ -36,11 +36,15 @@ def law_types(width: int, precision: int) -> SimpleNamespace:
 
     @wp.struct
     class JointState:
-        """What a law at a joint sees; ``preload`` is the present torque of the pre-load that carries the weight."""
+        """What a law at a joint sees.
+
+        ``preload`` is the present torque of the pre-load that carries the weight, ``effort`` that of an actuator.
+        """
 
         angle: Vec
         rate: Vec
         preload: Vec
+        effort: Vec
         stiffness: Real
         time: Real
         step: Real

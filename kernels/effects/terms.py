@@ -326,8 +326,10 @@ def is_on(e: int, place: int, fx: Any):
 
 
 @wp.func
-def joint_state(kind: int, q: Any, w: Any, preload: Any, stiffness: Any, time: Any, h: wp.float64, like: Any):
-    """Angle, rate and spring of a joint as laws see them."""
+def joint_state(
+    kind: int, q: Any, w: Any, preload: Any, effort: Any, stiffness: Any, time: Any, h: wp.float64, like: Any
+):  # fmt: skip
+    """Angle, rate, effort and spring of a joint as laws see them."""
     o = real(0.0, time)
     angle = type(w)(q.x, o, o)
     rate = type(w)(w.x, o, o)
@@ -338,20 +340,21 @@ def joint_state(kind: int, q: Any, w: Any, preload: Any, stiffness: Any, time: A
         angle = v * f
         rate = w
         held = held_of(preload, v, f, g)
-    return type(like)(angle, rate, held, stiffness, time, real(h, o))
+    return type(like)(angle, rate, held, effort, stiffness, time, real(h, o))
 
 
 def strain_of(law: Any, types: SimpleNamespace, key: str) -> Any:
     """Return the device function that asks laws for their response at a joint in its present state."""
     JointState, Response = types.JointState, types.Response
 
-    def strain(e: int, i: int, m: Any, x: Any, fx: Any, h: wp.float64, time: Any):
-        """Return the laws' response at joint i, of its present coordinate, velocity, pre-load and spring."""
+    def strain(e: int, i: int, m: Any, x: Any, effort: Any, fx: Any, h: wp.float64, time: Any):
+        """Return the laws' response at joint i, of its present coordinate, velocity, pre-load, effort and spring."""
         w = x.velocity[e, i]
         o = real(0.0, time)
         zero = type(w)(o, o, o)
-        like = JointState(w, w, w, o, o, o)
-        j = joint_state(m.kind[e, i], x.coordinate[e, i], w, m.preload[e, i], m.stiffness[e, i], time, h, like)
+        like = JointState(w, w, w, w, o, o, o)
+        held, spring = m.preload[e, i], m.stiffness[e, i]
+        j = joint_state(m.kind[e, i], x.coordinate[e, i], w, held, effort, spring, time, h, like)
         return law(e, i, fx, j, Response(zero, zero, o, o))
 
     return wp.func(strain, name=f"strain_{key}")
@@ -413,7 +416,7 @@ def act(
         stiffness = m.stiffness[e, i]
         damping = fx.damping[e, i]
         if is_on(e, at.joint, fx):
-            r = strain(e, i, m, x, fx, h, real(time, o))
+            r = strain(e, i, m, x, u.effort[e, i], fx, h, real(time, o))
             total = total + r.torque
             damping = effective_damping(m.kind[e, i], damping, stiffness, r.stiffness, r.damping, h)
         if still != MOVING:

@@ -170,10 +170,10 @@ def _turned_into(fitted: FittedModels, model: Model) -> Model:
 
 
 def _becomes(fitted: FittedModels, model: Model, candidate: int) -> list[str]:
-    """Return the names of the laws that a law turns into at the ends of its box where its parameters are."""
+    """Return the names of the laws that a law turns into where its parameters are in their boxes."""
     own, out = fitted.contest.candidates[candidate], []
     for k, s in zip(own.columns, own.specs, strict=True):
-        if s.becomes and _way_up(fitted, model, k) >= 1.0 - NEAR:
+        if s.becomes and _way_up(fitted, model, k) >= s.becomes_from - NEAR:
             out.append(s.becomes)
         if s.below and _way_up(fitted, model, k) <= NEAR:
             out.append(s.below)

@@ -10,6 +10,9 @@ from ...kernels.lanes.algebra import add, div, dot, mul, sub
 from ...kernels.lanes.real import cos_root, fma, real, sin_ratio, sqrt_, where_neg
 from .registry import Effect, EffectParameter, Law, axis_parameter, register
 
+#: Share of its stiffness that a spring may lose.
+LARGEST = wp.constant(wp.float64(0.9))
+
 
 @wp.func
 def ramp(x: Any, w: Any):
@@ -19,16 +22,21 @@ def ramp(x: Any, w: Any):
 
 @wp.func
 def bilinear_stiffness(j: Any, p: Any, r: Any):
-    """tau = -rel K (ramp(phi . n - s) - ramp(-s)) n with n = (cos psi, sin psi, 0) across the segment.
+    """tau = -K ((rel + back) (ramp(x - s) - ramp(-s)) - back x) n, x = phi . n, n = (cos psi, sin psi, 0).
 
-    The corner lies at s, d from rest, where the spring is the softer one beyond it: s = d for rel < 0, -d for rel > 0.
+    That is K (1 + rel) for x > s and K (1 - back) below, back = min(split rel, LARGEST). The corner lies at s, d from
+    rest, where the spring is the softer one beyond it: s = d for rel < 0, -d for rel > 0.
     """
     o = real(0.0, p.a)
     n = type(r.torque)(cos_root(p.b * p.b), sin_ratio(p.b * p.b) * p.b, o)
-    k = p.a * j.stiffness
     s = where_neg(p.a, p.d, o - p.d)
-    bent = ramp(dot(j.angle, n) - s, p.c) - ramp(o - s, p.c)
-    return type(r)(n * (o - k * bent), r.memory, where_neg(k, o, k), o)
+    back = p.e * p.a
+    most = real(LARGEST, o)
+    back = where_neg(most - back, most, back)
+    x = dot(j.angle, n)
+    bent = (p.a + back) * (ramp(x - s, p.c) - ramp(o - s, p.c)) - back * x
+    stiffer = where_neg(p.a, o - back, p.a)
+    return type(r)(n * (o - j.stiffness * bent), r.memory, j.stiffness * stiffer, o)
 
 
 @wp.func
@@ -40,13 +48,14 @@ def bilinear_joint(j: Any, p: Any, r: Any):
 
 
 def other_side(values: Sequence[float]) -> tuple[Sequence[float], float]:
-    """Return the same spring about its axis told from its other side: K (1 + rel) there, 1 / (1 + rel) as much here.
+    """Return the same spring about its axis told from its other side: K (1 + rel) there, K (1 - split rel) here.
 
     Across that axis the one has K both ways and the other K (1 + rel).
     """
-    relative, axis, corner, off = values
+    relative, axis, corner, off, split = values
     turned = axis + math.pi if axis < math.pi else axis - math.pi
-    return (-relative / (1.0 + relative), turned, corner, off), 1.0 + relative
+    back = min(split * relative, float(LARGEST))
+    return (-(relative + back) / (1.0 + relative), turned, corner, off, 0.0), 1.0 + relative
 
 
 _REL = EffectParameter("relative", "1", -0.9, 3.0)
@@ -59,8 +68,14 @@ _WIDTH = EffectParameter(
     optional=True,
 )  # fmt: skip
 #: How far the spring goes on from rest as it is at rest before it softens. It does not stiffen from an angle on: a cord
-#: that is slack at rest would pass for that.
-_OFF = EffectParameter("off_rad", "rad", 0.0, lambda s: 0.7 * s.angle, tries=lambda s: [0.0], optional=True)
+#: that is slack at rest would pass for that. One that softens far from rest is hardly told from one that is softer
+#: about an axis both ways.
+_OFF = EffectParameter(
+    "off_rad", "rad", 0.0, lambda s: 0.7 * s.angle, tries=lambda s: [0.0], optional=True,
+    becomes="anisotropic_stiffness", becomes_from=0.25,
+)  # fmt: skip
+#: Wood that carries tension one way and compression the other has both changed, about a mean that is K across.
+_SPLIT = EffectParameter("split", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True)
 
 EFFECT = register(
     Effect(
@@ -68,14 +83,14 @@ EFFECT = register(
         plain="a spring that is stiffer one way than the other",
         summary="stiffness K (1 + rel) where the joint bends one way about an axis across the segment, K the other way;"
         " the change is gradual over a corner, which in a branch may lie at an angle d from rest, where the spring"
-        " softens",
+        " softens, and the other way the stiffness may be K (1 - split rel)",
         source="Shaw & Holmes 1983, J. Sound Vib. 90:129; corner rounded",
         signature="pushes to the two sides differ in stiffness; releases swing with unequal half periods",
         mistaken_for=("cubic_stiffness", "anisotropic_stiffness", "backlash"),
         probe="the same push and release in opposite directions, in two planes",
         branch=Law(
             "joint",
-            (_REL, axis_parameter(circle=True, tries=8), _WIDTH, _OFF),
+            (_REL, axis_parameter(circle=True, tries=8), _WIDTH, _OFF, _SPLIT),
             bilinear_stiffness,
             mirror=other_side,
         ),

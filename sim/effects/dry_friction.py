@@ -52,8 +52,8 @@ def changing(p: Any):
 
 
 @wp.func
-def slipping(j: Any, p: Any, y: Any, x: Any, r: Any):
-    """T (1 + s exp(-x)): friction that is larger at rest (s > 0), or smaller and creeps there (s < 0).
+def slipping(j: Any, p: Any, size: Any, y: Any, x: Any, r: Any):
+    """T (1 + s exp(-x)), T = ``size``: friction that is larger at rest (s > 0), or smaller and creeps there (s < 0).
 
     The exponential is 1 / (1 + x + x^2/2 + x^3/6 + x^4/24), within 0.012. What is missing at rest with x = |w| / v,
     -s (1 - exp(-x)) T, sticks nowhere: a damper of that over |w|, implicit in the rate.
@@ -64,15 +64,15 @@ def slipping(j: Any, p: Any, y: Any, x: Any, r: Any):
     fade = one / fma(x, slow, one)
     more = where_neg(p.d, o, p.d)
     creeps = where_neg(p.d, o - p.d, o)
-    out = friction(j, p.a * (fma(more, fade, one) - creeps), y, p.c, r)
-    return type(r)(out.torque, out.memory, out.stiffness, fma(p.a * creeps / changing(p), slow * fade, out.damping))
+    out = friction(j, size * (fma(more, fade, one) - creeps), y, p.c, r)
+    return type(r)(out.torque, out.memory, out.stiffness, fma(size * creeps / changing(p), slow * fade, out.damping))
 
 
 @wp.func
 def dry_friction(j: Any, p: Any, r: Any):
     """Friction in a branch, of which the bend may be as small as float32 tells apart."""
     least = real(LEAST_BEND, p.a)
-    return slipping(j, p, where_neg(p.b - least, least, p.b), norm(j.rate) / changing(p), r)
+    return slipping(j, p, p.a, where_neg(p.b - least, least, p.b), norm(j.rate) / changing(p), r)
 
 
 @wp.func
@@ -87,12 +87,12 @@ def dry_friction_holds(j: Any, p: Any, r: Any):
 def dry_friction_at_joint(j: Any, p: Any, r: Any):
     """Friction whose bend is small beside the motion, by radians or by mm, and grows at rest by s exp(-(w / v)^2).
 
-    The square leaves what happens at speed to drag.
+    The square leaves what happens at speed to drag. T grows by mu |u| with the effort u of an actuator.
     """
     far = real(FAST, p.a)
     x = norm(j.rate) / changing(p)
     x = where_neg(p.d, x, x * x)
-    return slipping(j, p, p.b, where_neg(far - x, far, x), r)
+    return slipping(j, p, fma(p.f, norm(j.effort), p.a), p.b, where_neg(far - x, far, x), r)
 
 
 _TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")
@@ -120,6 +120,8 @@ _STRIBECK_RATE = EffectParameter(
 #: What a joint does as it turns back is measured itself, and not from far away through springs. What changes with the
 #: rate beyond a tenth of the highest one is drag.
 _STRIBECK_AT_JOINT = replace(_STRIBECK_RATE, low=0.0, high=lambda s: 0.1 * s.rate, neutral=0.0, scale="linear")
+#: What presses on what rubs may be what drives the joint, as in the teeth of a gear.
+_LOAD = EffectParameter("load", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True)
 
 
 def _creeping(s: Setting) -> Sequence[tuple[float, ...]]:
@@ -135,10 +137,11 @@ EFFECT = register(
         summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first,"
         " and from g = 0 to 1 comes ever more gradually to slip); it may be larger while it hardly moves,"
         " T (1 + s exp(-|w| / v)), of a measured joint T (1 + s exp(-(w / v)^2)), or smaller and creep there (s < 0);"
-        " in a branch it may begin each recording with the share k of the bend that the one before left",
+        " in a branch it may begin each recording with the share k of the bend that the one before left; of a measured"
+        " joint T may grow with the load, by mu |u| where an effort u drives it",
         source="Coulomb 1785; elastic before it slips, and gradual, as in Dahl 1968, Aerospace TOR-158; growing towards"
         " rest as in Tustin 1947, J. IEE 94:143, and Armstrong-Helouvry, Dupont & Canudas de Wit 1994, Automatica"
-        " 30:1083",
+        " 30:1083; growing with the load as in Hamon, Gautier & Garrec 2010, IROS",
         signature="oscillations decay in a straight line and stop off centre; loops keep their width however slow",
         mistaken_for=("hysteresis_boucwen", "plastic_set", "quadratic_drag"),
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
@@ -154,7 +157,7 @@ EFFECT = register(
         ),
         joint=Law(
             "joint",
-            (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL, _STRIBECK, _STRIBECK_AT_JOINT),
+            (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL, _STRIBECK, _STRIBECK_AT_JOINT, _LOAD),
             dry_friction_at_joint,
             memory=1,
         ),

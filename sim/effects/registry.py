@@ -94,6 +94,8 @@ class EffectParameter:
             for it once for each.
         becomes, below: Names of the effects that the law turns into where the value is larger than the box, and
             smaller; empty for none.
+        becomes_from: How far up the box, as a share of it on its own scale, the law is as good as the one that it
+            becomes, where that one explains as much.
     """
 
     name: str
@@ -110,6 +112,7 @@ class EffectParameter:
     of_each: bool = False
     becomes: str = ""
     below: str = ""
+    becomes_from: float = 1.0
 
 
 #: Share of the twist that a law at a ball joint sees, and of the torque about it that it gives.

@@ -21,15 +21,18 @@ def _delays(s: Setting) -> list[float]:
 
 _LAG = EffectParameter("lag_s", "s", lambda s: -_longest(s), _longest, tries=_delays)
 _LAG_AT_JOINT = EffectParameter("lag_s", "s", lambda s: -4.0 * s.dt, lambda s: 4.0 * s.dt)
-#: Of a branch's tracker.
-_SLOW = EffectParameter("slow_s", "s", 0.0, _longest, tries=lambda s: [0.0, 2.0 * s.dt], optional=True)
+#: Of a branch's tracker; of its force sensor where it is negative.
+_SLOW = EffectParameter(
+    "slow_s", "s", lambda s: -_longest(s), _longest, tries=lambda s: [0.0, 2.0 * s.dt, -2.0 * s.dt], optional=True
+)
 
 EFFECT = register(
     Effect(
         name="time_delay",
         plain="a delay of a sensor",
         summary="the force is recorded lag seconds after it acted (before, where the motion is late), linear between"
-        " samples; a branch's tracker follows with a first-order lag of slow seconds",
+        " samples; a branch's tracker follows with a first-order lag of slow seconds, or its force sensor does"
+        " (slow < 0)",
         source="definition; Ljung, System Identification (1999), section 4.2 (dead time); Doebelin, Measurement Systems"
         " (2004), chapter 3 (first-order instrument)",
         signature="misfit where the force changes fast: at the release and in sweeps",

@@ -12,7 +12,6 @@ from bough.learn.systems.branch import Unknowns
 from oracles.effect_case import DS, FORCE, KS, held, resting, settled, simulate, stick, stick_case, swing_case
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
-from scipy.signal import lfilter
 from scipy.special import ellipk
 
 J, K, D = 2.0, 80.0, 1e-3
@@ -263,26 +262,6 @@ def test_gains_of_axes_undo_the_sensor(tmp_path):
     wanted = stick(true)
     np.testing.assert_allclose(undone, wanted, atol=3e-6)
     assert np.abs(stick(read) - wanted).max() > 0.1 * np.abs(wanted).max()
-
-
-@pytest.mark.parametrize("samples", [0.2, 1.0, 4.0])
-def test_a_slow_tracker_is_a_filter_of_first_order(tmp_path, samples):
-    """Read displacement and velocity through a lag of first order, each recording anew.
-
-    `lfilter` has the closed form of what is linear between samples; ours is without the exponential, to 0.012 of it.
-    """
-    dt = 0.02
-    case = stick_case(tmp_path / "c", [held(120), held(120, -FORCE)], dt=dt)
-    slow = samples * dt
-    out, plain = stick(case, time_delay={"slow_s": slow}), stick(case)
-    a = np.exp(-1 / samples)
-    new, old = 1 - (1 - a) * samples, (1 - a) * samples - a
-    first = plain[:, :1]
-    wanted = first + lfilter([new, old], [1, -a], plain - first, axis=1)
-    for own in (slice(0, 3), slice(3, 6)):
-        most = np.abs(plain[..., own]).max()
-        np.testing.assert_allclose(out[..., own], wanted[..., own], atol=0.012 * most)
-        assert np.abs(plain[..., own] - wanted[..., own]).max() > 0.02 * samples * most
 
 
 # ---- a stick in space -----------------------------------------------------------------------------------------------

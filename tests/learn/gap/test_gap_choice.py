@@ -30,7 +30,7 @@ from bough.learn.runs.threads import one_thread
 from bough.learn.systems.acting import Acting
 from bough.learn.systems.branch import Unknowns
 from bough.sim.base.errors import InputError
-from bough.sim.effects import EffectParameter
+from bough.sim.effects import EffectParameter, effect_of
 from scipy.signal import firwin
 
 INERTIA, D = 0.05, 0.1
@@ -174,7 +174,8 @@ def test_friction_of_an_axis_is_measured_by_its_torques(tmp_path):
 def test_predicted_efforts_are_rounded_like_measured_ones(tmp_path):
     """Predict the jumps of friction as the second filter leaves them of the sign of the rate under the first one."""
     case = replace(load_case(drive(tmp_path / "case", noise=0.0)), fit="torque")
-    acting = (Acting("dry_friction", 0, {"bend_rad": 1e-4, "gradual": 0.0, "stribeck": 0.0, "stribeck_radps": 1.0}),)
+    own = {"bend_rad": 1e-4, "gradual": 0.0, "stribeck": 0.0, "stribeck_radps": 1.0, "load": 0.0}
+    acting = (Acting("dry_friction", 0, own),)
     full = recordings_of(case)
     chosen = [thinned(case, r) for r in full]
     system = EquationError(case, chosen, 1, unknowns=Unknowns(effects=acting))
@@ -284,6 +285,27 @@ def test_an_effect_that_is_off_is_still_off_under_another_filter(tmp_path):
 # ---- a law that becomes another -------------------------------------------------------------------------------------
 
 
+def turning(specs, places, lefts, at):
+    """Return fitted models of one law each with one parameter, whose box is 0 to 1; the base leaves 3000.
+
+    Args:
+        specs: The parameter of each law, by the law's name.
+        places: Joint of each.
+        lefts: Chi-squared of each, of 1000 samples.
+        at: Value of every parameter.
+    """
+    candidates = [Candidate(SimpleNamespace(name=name, joint=joint), (k,), SimpleNamespace(parameters=(spec,)))
+                  for k, ((name, spec), joint) in enumerate(zip(specs.items(), places, strict=True))]  # fmt: skip
+    one = torch.ones(2, dtype=torch.float64)
+    contest = SimpleNamespace(num_samples=1000, candidates=candidates, low=0.0 * one, high=one)
+
+    def model(members, chi2):
+        batch = Batch(at * one[None], one[None] > 0.0, torch.zeros(0), torch.zeros(0))
+        return Model(members, Fits(batch, *[torch.tensor([chi2])] * 4), True)
+
+    return FittedModels(contest, model((), 3000.0), [model((k,), left) for k, left in enumerate(lefts)])
+
+
 @pytest.mark.parametrize(
     ("bend", "left", "place", "turned"),
     [(1.0, 1080.0, 0, True), (0.5, 1080.0, 0, False), (1.0, 1200.0, 0, False), (1.0, 1080.0, 1, False)],
@@ -296,17 +318,16 @@ def test_friction_that_bends_as_far_as_it_may_is_hysteresis(bend, left, place, t
     """
     spec = EffectParameter("bend_rad", "rad", 0.0, 1.0, **{end: "hysteresis_boucwen"})
     bend = bend if end == "becomes" else 1.0 - bend
-    candidates = [
-        Candidate(SimpleNamespace(name=name, joint=joint), (k,), SimpleNamespace(parameters=(spec,)))
-        for k, (name, joint) in enumerate([("dry_friction", 0), ("hysteresis_boucwen", place)])
-    ]
-    one = torch.ones(2, dtype=torch.float64)
-    contest = SimpleNamespace(num_samples=1000, candidates=candidates, low=0.0 * one, high=one)
-
-    def model(members, chi2):
-        batch = Batch(bend * one[None], one[None] > 0.0, torch.zeros(0), torch.zeros(0))
-        return Model(members, Fits(batch, *[torch.tensor([chi2])] * 4), True)
-
-    friction, other = model((0,), 1030.0), model((1,), left)
-    fitted = FittedModels(contest, model((), 3000.0), [friction, other])
+    fitted = turning({"dry_friction": spec, "hysteresis_boucwen": spec}, (0, place), (1030.0, left), bend)
+    friction, other = fitted.models
     assert _turned_into(fitted, friction) is (other if turned else friction)
+
+
+@pytest.mark.parametrize(("off", "left", "turned"), [(0.5, 1050.0, True), (0.1, 1050.0, False), (0.5, 1200.0, False)])
+def test_a_spring_that_softens_far_from_rest_is_a_softer_one(off, left, turned):
+    """Take the other spring that explains as much as one-sided softening beyond a quarter of how far it may be."""
+    plain = EffectParameter("relative", "1", 0.0, 1.0)
+    specs = {"bilinear_stiffness": effect_of("bilinear_stiffness").branch.parameters[3], "anisotropic_stiffness": plain}
+    fitted = turning(specs, (0, 0), (1030.0, left), off)
+    sided, other = fitted.models
+    assert _turned_into(fitted, sided) is (other if turned else sided)

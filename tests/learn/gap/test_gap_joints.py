@@ -87,6 +87,25 @@ def test_a_cart_that_slides_by_millimetres_rubs(tmp_path):
     assert {k.unit for k in content(found, drawn=False).numbers} == {"cm", "N", "m", "m/s", ""}
 
 
+def test_friction_that_grows_with_the_effort_of_a_drive(tmp_path):
+    """Name friction T + mu |u| of a sprung axis that an effort u drives, and find T and mu within their intervals."""
+    size, grows = 0.15, 0.12
+
+    def law(q, v, u):
+        return (u - 30.0 * q - 0.4 * v - (size + grows * abs(u)) * np.tanh(v / 1e-3)) / 0.6
+
+    def drive(t, k):
+        return (3.0 + k) * np.sin((1.7 + 0.9 * k) * t) + (2.0 - k) * np.sin(0.6 * t)
+
+    joint = {"type": "revolute", "inertia": 0.6, "stiffness": None, "damping": None}
+    found = diagnosed(write(tmp_path / "drive", law, [(0.0, 0.0)] * 4, joint, drive=drive, noise=0.005))
+    assert [a.name for a in found.effects] == ["dry_friction"], found.sentence
+    inside = found.parameters["dry_friction@0"]
+    assert inside["torque_Nm"].low < size < inside["torque_Nm"].high
+    assert inside["load"].low < grows < inside["load"].high
+    assert inside["load"].low > 0.5 * grows
+
+
 RUBBING = """<mujoco><option timestep="5e-4"/><worldbody><body><joint name="axis" axis="0 -1 0" damping="0.004"
 armature="0.002" frictionloss="{friction}"/><inertial pos="0 0 -0.1" mass="0.5" diaginertia="1e-6 1e-6 1e-6"/></body>
 </worldbody></mujoco>"""

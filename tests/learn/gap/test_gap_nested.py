@@ -324,28 +324,35 @@ def test_a_second_effect_may_do_no_harm_where_it_was_not_fitted(gains, fitted, b
     assert bears_out(gains, fitted) is borne_out
 
 
-@pytest.mark.parametrize("relative", [-0.57, -0.2, 0.8, 2.5])
-def test_a_spring_told_from_its_other_side_is_the_same_in_its_plane(relative):
-    """K (1 + rel) one way and K the other, at +-0.1 rad about the axis; at right angles K, and then K (1 + rel).
+@pytest.mark.parametrize(
+    ("relative", "split"), [(-0.57, 0.0), (-0.2, 0.0), (0.8, 0.0), (2.5, 0.0), (-0.4, 1.0), (2.5, 0.7)]
+)
+def test_a_spring_told_from_its_other_side_is_the_same_in_its_plane(relative, split):
+    """K (1 + rel) one way and K (1 - split rel) the other, at +-0.1 rad about the axis.
 
-    The corner is 0.03 rad from rest, towards the softer side.
+    At right angles K, and then K (1 + rel). The corner is 0.03 rad from rest, towards the softer side.
     """
 
     def torque(stiffness, values, turn):
-        relative, axis = values
+        relative, axis, split = values
         along = turn[0] * math.cos(axis) + turn[1] * math.sin(axis)
         corner = 0.03 if relative < 0.0 else -0.03
-        push = stiffness * relative * (max(along - corner, 0.0) - max(-corner, 0.0))
+        upper = max(along, corner) - max(0.0, corner)
+        push = stiffness * (relative * upper - min(split * relative, 0.9) * (along - upper))
         return np.array([stiffness * turn[0] + push * math.cos(axis), stiffness * turn[1] + push * math.sin(axis)])
 
-    (turned, other, corner, off), factor = other_side((relative, 1.2, 0.01, 0.03))
-    assert (corner, off) == (0.01, 0.03)
+    (turned, other, corner, off, none), factor = other_side((relative, 1.2, 0.01, 0.03, split))
+    assert (corner, off, none) == (0.01, 0.03, 0.0)
     for sign in (1.0, -1.0):
         turn = 0.1 * sign * np.array([math.cos(1.2), math.sin(1.2)])
-        np.testing.assert_allclose(torque(10.0 * factor, (turned, other), turn), torque(10.0, (relative, 1.2), turn))
+        np.testing.assert_allclose(
+            torque(10.0 * factor, (turned, other, 0.0), turn), torque(10.0, (relative, 1.2, split), turn)
+        )
     across = 0.1 * np.array([-math.sin(1.2), math.cos(1.2)])
-    np.testing.assert_allclose(torque(10.0 * factor, (turned, other), across), (1.0 + relative) * 10.0 * across)
-    (again, axis, _, _), back = other_side((turned, other, 0.01, 0.03))
+    np.testing.assert_allclose(torque(10.0 * factor, (turned, other, 0.0), across), (1.0 + relative) * 10.0 * across)
+    if split:
+        return  # told from the other side it is one whose other way is left as it is
+    (again, axis, *_), back = other_side((turned, other, 0.01, 0.03, 0.0))
     np.testing.assert_allclose([again, axis % (2.0 * math.pi), factor * back], [relative, 1.2, 1.0])
 
 
@@ -360,7 +367,7 @@ def test_a_fit_on_the_wrong_side_is_led_to_the_other(branch):
     one, two = names.index("bilinear_stiffness"), names.index("anisotropic_stiffness")
     truth = activated(contest, contest.base_batch(1), [(one,)])
     truth.free[0, list(contest.candidates[one].columns)] = torch.tensor(
-        [-0.57, 1.2, math.log(0.005), 0.0], dtype=torch.float64
+        [-0.57, 1.2, math.log(0.005), 0.0, 0.0], dtype=torch.float64
     )
     contest.measured = contest.simulate(contest.values(truth), truth.start)[0].double()
     begun = activated(contest, _mirrored(contest, truth, one), [(one, two)])
@@ -372,7 +379,7 @@ def test_a_fit_on_the_wrong_side_is_led_to_the_other(branch):
     only = fit(contest, activated(contest, _mirrored(contest, truth, one), [(one,)]), 24)
     assert single.chi2 < 1e-3 * contest.num_samples < float(only.chi2[0])
     values = contest.values(single.fit.batch)[0, list(contest.candidates[one].columns)]
-    np.testing.assert_allclose(values, [-0.57, 1.2, 0.005, 0.0], atol=0.01)
+    np.testing.assert_allclose(values, [-0.57, 1.2, 0.005, 0.0, 0.0], atol=0.01)
     assert mirrored(contest, [Model((two,), astray)]) == []  # an anisotropic spring has no other side
 
 

@@ -299,7 +299,7 @@ BRANCH_TRUTH = {
     "wind_gust": (20.0, -15.0, 10.0, 12.0, 0.9, 0.4, 0.7, 0.1, 0.3),
     "gravity_comp_error": (0.15, 0.6, 0.1, -0.1, 0.2),
     "anisotropic_stiffness": (0.8, 0.7, 0.3),
-    "bilinear_stiffness": (-0.5, 1.2, 0.02, 0.03),
+    "bilinear_stiffness": (-0.5, 1.2, 0.02, 0.03, 0.4),
     "bending_torsion_coupling": (0.4, 0.9),
 }
 FIXED_AT_TRUTH = {
@@ -389,15 +389,16 @@ def test_faulty_effects_are_one_line(stick, tmp_path):
         Rollout(hinge, recordings(hinge), 1, unknowns=Unknowns(effects=(Acting("tip_mass"),)))
 
 
-@pytest.mark.parametrize("stribeck", [0.0, 0.8, -0.6])
-def test_torque_fit_takes_effects(tmp_path, stribeck):
+@pytest.mark.parametrize(("stribeck", "load"), [(0.0, 0.0), (0.8, 0.0), (-0.6, 0.0), (0.0, 0.2)])
+def test_torque_fit_takes_effects(tmp_path, stribeck, load):
     """Need T more at one joint, less as it turns back, and c v |v| at the other; refuse what is not at a joint.
 
+    T grows with what the joint needs besides.
     Near rest T is larger by the share exp(-(w / v)^2) or smaller by exp(-|w| / v), within 0.012 of these.
     """
     case = load_case(write_arm(tmp_path / "arm", unknown=["damping"], seeds=(0,)))
     chosen = torque_recordings(case)
-    own = {"bend_rad": 5e-4, "gradual": 0.0, "stribeck": stribeck, "stribeck_radps": 0.4}
+    own = {"bend_rad": 5e-4, "gradual": 0.0, "stribeck": stribeck, "stribeck_radps": 0.4, "load": load}
     acting = (Acting("dry_friction", 1, own), Acting("quadratic_drag", 0))
     values = torch.tensor([[0.1, 0.2, 0.7, 0.3]])
     plain = EquationError(case, chosen, 1)(values[:, :2])[0, 0].double().numpy().copy()
@@ -412,14 +413,15 @@ def test_torque_fit_takes_effects(tmp_path, stribeck):
     near = np.exp(-((np.abs(rate[:, 1]) / 0.4) ** (2.0 if stribeck > 0.0 else 1.0)))
     creeping = min(stribeck, 0.0) * (1 - near)  # what is missing at rest is a damper, which does not bend
     turns = rate[:, 1] * float(chosen[0].t[1] - chosen[0].t[0])
+    size = 0.7 + load * np.abs(plain[:, 1])
     for turn, here, more in zip(turns, near, creeping, strict=True):
         bent = np.clip(bent + turn, -5e-4, 5e-4)  # [rad]: it bends before it slips
         sticks = (1 + max(stribeck, 0.0) * here + min(stribeck, 0.0)) * np.clip(bent + turn, -5e-4, 5e-4) / 5e-4
-        friction.append(0.7 * (sticks - more * np.sign(turn)))  # at the end of the step
+        friction.append(sticks - more * np.sign(turn))  # at the end of the step
     bound = 2e-5 + 0.013 * 0.7 * abs(stribeck)
-    np.testing.assert_allclose(extra[:, 1], friction, atol=bound)
+    np.testing.assert_allclose(extra[:, 1], size * friction, atol=bound)
     fast = np.abs(turns) > 5e-4  # even where it turns back it slips by the end of the next sample
-    level = 0.7 * np.sign(turns[fast]) * (1 + stribeck * near[fast])
+    level = size[fast] * np.sign(turns[fast]) * (1 + stribeck * near[fast])
     np.testing.assert_allclose(extra[fast, 1], level, atol=bound)
     assert fast.mean() > 0.5
     assert np.abs(extra).max(axis=0).min() > 0.1

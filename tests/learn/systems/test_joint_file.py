@@ -14,7 +14,7 @@ from bough.learn.systems.model_file import model_of, write_model
 from bough.sim.base.errors import InputError
 from oracles.oscillator import decay, write_case
 
-FRICTION = {"torque_Nm": 0.3, "bend_rad": 0.002, "gradual": 0.5, "stribeck": 0.2, "stribeck_radps": 0.7}
+FRICTION = {"torque_Nm": 0.3, "bend_rad": 0.002, "gradual": 0.5, "stribeck": 0.2, "stribeck_radps": 0.7, "load": 0.1}
 SPRING, DAMPER = {"name": "stiffness hinge", "value": 80.0, "unit": "N m/rad"}, "damping hinge"
 MODEL = JointModel("decay", "replay", (("hinge", "revolute"),), ("stiffness hinge", "damping hinge"),
                    ("N m/rad", "N m s/rad"), np.array([80.0, 4.5 / 3]))  # fmt: skip
@@ -46,7 +46,7 @@ def test_written_is_read(tmp_path, case):
 
 
 #: Units of friction along a slide.
-UNITS = {"torque_Nm": "N", "bend_rad": "m", "gradual": "1", "stribeck": "1", "stribeck_radps": "m/s"}
+UNITS = {"torque_Nm": "N", "bend_rad": "m", "gradual": "1", "stribeck": "1", "stribeck_radps": "m/s", "load": "1"}
 
 
 def test_a_joint_that_slides_has_newtons_and_metres(tmp_path):
@@ -55,7 +55,7 @@ def test_a_joint_that_slides_has_newtons_and_metres(tmp_path):
     from bough.learn.systems.branch import Unknowns
 
     system = system_of(case, Unknowns(effects=(Acting("dry_friction", 0),)))
-    assert [p.unit for p in system.parameters] == ["N/m", "N s/m", "N", "m", "1", "1", "m/s"]
+    assert [p.unit for p in system.parameters] == ["N/m", "N s/m", "N", "m", "1", "1", "m/s", "1"]
     names, units = MODEL.names, ("N/m", "N s/m")
     model = JointModel("cart", "replay", (("hinge", "prismatic"),), names, units, MODEL.values,
                        (Acting("dry_friction", 0, FRICTION),))  # fmt: skip
