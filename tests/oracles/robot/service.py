@@ -75,10 +75,14 @@ class Served:
         raise AssertionError(status)
 
     def home(self) -> None:
-        """Bring the arm to where it began, as tests leave it."""
+        """Bring the arm to where it began, as tests leave it, and wait until it stands there and is free.
+
+        It has arrived before it stands: what moves it for a while yet would pass for a client that is slow to start.
+        """
         self.settled()
         status, said = self.ask("/set_dof_pos", {"robot_dof_pos": HOME})
         assert status == 200, said
+        self.settled()
 
     def log(self) -> dict[str, list[str]]:
         """Return the log as it is now."""
