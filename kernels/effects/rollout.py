@@ -20,7 +20,7 @@ import warp as wp
 from ..lanes.algebra import add, add_cross, add_scaled, cross, div, dot, growth, mul, norm, rotate, sub, unrotate
 from ..lanes.real import SOURCE, fma, fnma, real, sqrt_, where_neg
 from ..tree.observe import locate_links
-from ..tree.rollout import Moment, between, look_ahead, share_of, write_gains, write_joints, write_point
+from ..tree.rollout import Moment, look_ahead, write_gains, write_joints, write_point
 from .held import holder_of
 from .kept import BETWEEN, EVERYTHING, fader_of, forget, kept_rows
 from .sensor import NEVER, acting, drawn, opening

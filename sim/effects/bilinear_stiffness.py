@@ -58,7 +58,7 @@ def other_side(values: Sequence[float]) -> tuple[Sequence[float], float]:
     return (-(relative + back) / (1.0 + relative), turned, corner, off, 0.0), 1.0 + relative
 
 
-_REL = EffectParameter("relative", "1", -0.9, 3.0)
+_REL = EffectParameter("relative", "1", -float(LARGEST), 3.0)
 _CORNER = EffectParameter(
     "corner_rad", "rad", lambda s: 1e-3 * s.angle, lambda s: s.angle, neutral=0.005, scale="log", tries=2, optional=True
 )

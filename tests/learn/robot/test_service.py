@@ -124,7 +124,7 @@ def test_a_lease_that_ends_while_the_arm_is_read_has_ended(tmp_path):
     service.start()
     run(service, 10.0, lambda: service.latest and service.latest.number > 5)
     taken, done = [], []
-    for _ in range(40):  # a tenth of a second of leases, begun anywhere in a tick
+    for _ in range(40):  # half a second of leases, begun anywhere in a tick
         taken.append(time.monotonic())
         assert service.command("a", "velocity", np.full(6, 0.2))[0].accepted
         done.append(time.monotonic())
@@ -231,7 +231,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from bough.learn.robot.backend import Sample
-from bough.learn.robot.limits import RAMP, default_limits
+from bough.learn.robot.limits import default_limits
 from bough.learn.robot.serve import Address, serve
 from bough.sim.arms.jaco2 import jaco2
 
