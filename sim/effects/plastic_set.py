@@ -67,7 +67,7 @@ EFFECT = register(
         source="Simo & Hughes, Computational Inelasticity (1998), box 1.5 (linear isotropic and kinematic hardening);"
         " flow by the overstress: Perzyna 1966, Adv. Appl. Mech. 9:243",
         signature="the branch rests elsewhere after a large push, and later small pushes are as before",
-        mistaken_for=("hysteresis_boucwen", "dry_friction", "partial_rupture"),
+        mistaken_for=("hysteresis_boucwen", "dry_friction", "partial_rupture", "viscoelastic_sls"),
         probe="a small push, a large one, the same small push again, with the gripper open in between",
         branch=Law(
             "joint", (_PARAMETERS[0], _YIELD, _PARAMETERS[2], _SEPARATE, _FLOW), plastic_set, memory=2, persistent=True
