@@ -120,7 +120,7 @@ class Whitened:
 
     w are the coordinates of `inside`, in which no particle leaves its box. A `samplers.choose.Density`, NaN where a
     simulation is not finite. Gradients combine residuals at z with derivatives of the simulation that are recomputed
-    only when some particle has moved by `STALE` standard deviations: within that distance they change by about a
+    only where a particle has moved by `STALE` standard deviations: within that distance they change by about two
     percent, and each costs two worlds per parameter.
 
     Args:
@@ -134,7 +134,7 @@ class Whitened:
         taken_at: Where the derivatives were taken, shape [P, D], or None.
     """
 
-    STALE = 0.25
+    STALE = 0.5
 
     def __init__(self, target: Target, centre: torch.Tensor, precision: torch.Tensor) -> None:
         self.target, self.centre = target, centre
@@ -159,8 +159,7 @@ class Whitened:
 
     def evaluate(self, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return log density [P] and gradient [P, D]."""
-        if self.taken_at is None or not bool(((z - self.taken_at).abs() <= self.STALE).all()):
-            self.take(z)
+        self._refresh(z)
         w = self.w(z)
         e = self.target.evaluate(self.inside.theta(w), self._derivative)
         gradient = self.inside.gradient(w, e.gradient)
@@ -170,6 +169,20 @@ class Whitened:
     def take(self, z: torch.Tensor) -> None:
         """Take the derivatives at z [P, D]."""
         self.taken_at, self._derivative = z.clone(), self.target.linearise(self.theta(z))[1]
+
+    def _refresh(self, z: torch.Tensor) -> None:
+        """Take the derivatives anew of the particles z [P, D] that moved farthest, all that are stale among them.
+
+        They are a quarter of the particles, or two or three, so that batches of four sizes are built at most.
+        """
+        if self.taken_at is None or self._derivative is None:
+            self.take(z)
+            return
+        moved = torch.nan_to_num((z - self.taken_at).abs().amax(1), nan=torch.inf)
+        stale, quarter = int((moved > self.STALE).sum()), -(-len(z) // 4)
+        if stale:
+            far = moved.argsort(descending=True, stable=True)[: -(-stale // quarter) * quarter]
+            self.taken_at[far], self._derivative[far] = z[far], self.target.linearise(self.theta(z[far]))[1]
 
     def log_density(self, z: torch.Tensor) -> torch.Tensor:
         """Return the log density [P]."""

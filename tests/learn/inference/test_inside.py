@@ -108,3 +108,42 @@ def test_particles_follow_a_density_that_the_box_cuts_off(centre, width):
     middle, low, high = (float(v[0]) for v in Posterior.interval(posterior))
     assert 0.2 < low < middle < high < 1.0
     assert 0.9 < exact.cdf(high) - exact.cdf(low) < 0.99
+
+
+class Told(Peak):
+    """A target whose derivatives tell where they were taken, and that counts how often."""
+
+    taken = 0
+
+    def linearise(self, theta):
+        """Return the place as the derivative."""
+        self.taken += len(theta)
+        return theta, theta.clone()
+
+    def evaluate(self, theta, derivative):
+        """Keep what was given."""
+        self.seen = derivative.clone()
+        return SimpleNamespace(log_posterior=theta[:, 0], gradient=theta)
+
+
+def test_derivatives_are_taken_anew_where_a_particle_has_moved():
+    """Take those of a particle that moved by more than `STALE` deviations and of the next farthest, a quarter of all.
+
+    A particle that is lost is taken anew too. Nothing is taken where all rest.
+    """
+    target = Told(0.6, 0.05)
+    density = Whitened(target, torch.zeros(1, dtype=torch.float64), torch.ones(1, 1, dtype=torch.float64))
+    z = torch.linspace(-1.0, 1.0, 64, dtype=torch.float64)[:, None]
+    density.evaluate(z)
+    assert target.taken == 64
+    near = z + 0.9 * Whitened.STALE
+    density.evaluate(near)
+    assert target.taken == 64
+    torch.testing.assert_close(target.seen, density.theta(z), rtol=0.0, atol=0.0)
+    far = near.clone()
+    far[5], far[40] = far[5] + 0.2 * Whitened.STALE, torch.nan
+    density.evaluate(far)
+    assert target.taken == 64 + 16
+    fresh = (target.seen != density.theta(z))[:, 0]
+    assert int(fresh.sum()) == 16 and bool(fresh[5]) and bool(fresh[40])
+    torch.testing.assert_close(target.seen[fresh], density.theta(far)[fresh], rtol=0.0, atol=0.0, equal_nan=True)
