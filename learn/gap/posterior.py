@@ -22,6 +22,7 @@ from .diagnosis import Bound, Interval
 from .models.contest import Batch, Contest
 from .models.fitted import QUIET
 from .models.refit import evaluated, filled, fit, normal_equations
+from .models.simulations import JOINTED
 from .run import Run
 
 #: Parameters of each named effect, by its label.
@@ -74,9 +75,14 @@ def _of(colour: Colour | None, chosen: Sequence[int]) -> Colour | None:
 
 
 def only(contest: Contest, fitted: Batch) -> Unknowns:
-    """Return unknowns of which those active in a model, a batch of one, are inferred and all others are neutral."""
+    """Return unknowns of which those active in a model, a batch of one, are inferred and all others are neutral.
+
+    A trunk that does not give way is left out: its joints would be simulated with the branch's.
+    """
     acting, active = [], fitted.active[0].tolist()
     for candidate in contest.candidates:
+        if candidate.name == JOINTED and not any(active[k] for k in candidate.columns):
+            continue
         columns = zip(candidate.specs, candidate.columns, strict=True)
         off = {s.name: s.neutral for s, k in columns if not active[k]}
         acting.append(replace(candidate.acting, known=off) if off else candidate.acting)

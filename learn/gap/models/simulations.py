@@ -18,7 +18,7 @@ from ...systems.branch import Unknowns
 
 #: Sets per launch. The last is a group of lanes; every launch costs as much besides as some hundred steps of it.
 SIZES = (128, 64, 32, 16)
-#: Effect that adds a joint to the branch, a third of a step more at three segments.
+#: Effect that adds joints below the branch: with them a step of three segments takes twice as long.
 JOINTED = "base_compliance"
 
 

@@ -17,11 +17,12 @@ from bough.learn.gap.models.at_rest import Noise
 from bough.learn.gap.models.contest import Contest, activated
 from bough.learn.gap.models.fitted import Model
 from bough.learn.gap.models.refit import fit
-from bough.learn.gap.posterior import at_bound
+from bough.learn.gap.posterior import at_bound, only
 from bough.learn.gap.prepare import Base
 from bough.learn.gap.repaired import implausible, noise_floor, off_in, repair
 from bough.learn.gap.run import Run
 from bough.learn.inference.replayed import Replayed, held_out, replay_model
+from bough.learn.inference.target import Target
 from bough.learn.replay.recording import recordings
 from bough.learn.replay.rollout import Rollout
 from bough.learn.replay.simulated_case import Experiment, random_branch, write_simulated_case
@@ -242,3 +243,24 @@ def test_the_noise_floor_holds_what_a_noisy_force_does(tmp_path):
     seen = Replayed(recordings(case), output, tuple(train), tuple(test), (0, 1, 2))
     assert noise_floor(base, seen) == pytest.approx(seen.rms, rel=0.1)
     assert np.sqrt(np.mean(base.noise.sigma[:3] ** 2)) < 0.3 * seen.rms
+
+
+@pytest.mark.parametrize("name", ["dry_friction", "base_compliance"])
+def test_a_posterior_simulates_the_trunk_where_it_gives_way_alone(tmp_path, name):
+    """Predict what the search's simulation does to the bit, with the links of the trunk only where it is in the model.
+
+    Seven links, of which four are the trunk's, take twice as long as three.
+    """
+    make_branch_case(tmp_path / "case", 4, samples=30, dt=2e-3)
+    case = load_case(tmp_path / "case")
+    contest = Contest(case, recordings(case)[:2], np.full(6, 1e-3), ("dry_friction", "base_compliance"))
+    member = next(k for k, c in enumerate(contest.candidates) if c.name == name)
+    batch = activated(contest, contest.base_batch(1), [(member,)])
+    batch.free = contest.typical.expand_as(batch.free).clone()
+    target = Target(case, contest.recordings, torch.full((6,), 1e-3), unknowns=only(contest, batch))
+    links = target.system.tree.num_links
+    assert links == case.num_segments + (4 if name == "base_compliance" else 0)
+    theta = torch.cat([batch.free[batch.active][None], target.log_noise0[None]], 1)
+    told = contest.simulate(contest.values(batch), batch.start)
+    assert bool(told.abs().max() > 1e-3)
+    torch.testing.assert_close(target.predict(theta), told.double(), rtol=0.0, atol=0.0)
