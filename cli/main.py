@@ -124,6 +124,10 @@ def _comes_of_ctrl_c(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _show_warning(message: Warning | str, *_place: object, **_options: object) -> None:
-    """Print a Python warning as one line without the place in the code."""
-    warn(" ".join(str(message).split()))
+def _show_warning(message: Warning | str, category: type[Warning], *_place: object, **_options: object) -> None:
+    """Print a Python warning as one line without the place in the code.
+
+    Not that a file was left open: it is told whenever memory is next cleared, in the midst of any other command.
+    """
+    if not issubclass(category, ResourceWarning):
+        warn(" ".join(str(message).split()))

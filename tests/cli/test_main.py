@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 
 import pytest
 from bough.cli import main as module
@@ -49,3 +50,13 @@ def test_faults_of_the_machine(monkeypatch, capsys, error, code):
     monkeypatch.setattr(Info, "run", raising(error))
     assert module.main(["info"]) == code
     assert capsys.readouterr().err == f"bough: info: {error.strerror}\n"
+
+
+def test_a_file_left_open_is_no_warning_of_a_command(capsys):
+    """Say nothing of a file that some other code left open, which is told whenever memory is cleared, and all else."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = module._show_warning
+        warnings.warn("unclosed file", ResourceWarning, stacklevel=1)
+        warnings.warn("a column\nis empty", RuntimeWarning, stacklevel=1)
+    assert capsys.readouterr().err == "bough: warning: a column is empty\n"
