@@ -126,9 +126,16 @@ def _modes(contest: Contest, seed: int) -> Batch:
 
 
 def colour(contest: Contest, model: Batch, force_sigma: Array) -> None:
-    """Set the correlation of the residuals by noise of the force, linearised about a model."""
+    """Set the correlation of the residuals by noise of the force, linearised about a model, a batch of one.
+
+    Its effects act: a spring that creeps answers a fast force twice as stiff as it holds a lasting one.
+    """
     if float(force_sigma.max()) <= 0.0:
         return
     assert isinstance(contest.case, BranchCase)
-    values = contest.values(model)[0, : contest.num_base]
-    contest.colour = input_colour(contest.case, contest.recordings, values, force_sigma, contest.sigma)
+    acts = bool(model.active[0, contest.num_base :].any())
+    values = contest.values(model)[0, : None if acts else contest.num_base]
+    contest.colour = input_colour(
+        contest.case, contest.recordings, values, force_sigma, contest.sigma,
+        unknowns=contest.unknowns if acts else None, device=contest.device,
+    )  # fmt: skip

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
+import torch
+
+from ...sim.base.types import Array
 from ..replay.input_noise import Colour
 from .evidence import ALARM, Evidence, bootstrap_test, lacks_fit, retested
 from .geometry import add_nuisances, in_doubt
 from .models.at_rest import Noise, noise_of_neighbours, noise_of_repeats
-from .models.contest import Batch
-from .models.fitted import FittedModels, Model
+from .models.contest import Batch, Contest
+from .models.fitted import FittedModels, Model, overdispersion, penalty
 from .models.idle import spare
 from .models.levels import (
     LEADERS,
@@ -26,7 +31,7 @@ from .models.levels import (
 )
 from .models.nested import close, fitted_again, rebased
 from .models.nuisance import Nuisances
-from .models.refit import Fits
+from .models.refit import Fits, evaluated
 from .models.widespread import widespread
 from .prepare import Base, colour, settle
 from .run import Run
@@ -144,19 +149,44 @@ def _closed(base: Base, fitted: FittedModels, evidence: Evidence, run: Run) -> E
 
 
 def _recoloured(base: Base, fitted: FittedModels) -> FittedModels:
-    """Take noise, its response and the nuisances about the best model instead of the base, and refit."""
-    best = fitted.of_size(1)[0]
+    """Take noise, its response and the nuisances about the best models instead of the base, and refit."""
+    contest, best = fitted.contest, fitted.of_size(1)[0]
     for seen in (noise_of_neighbours, noise_of_repeats):
-        base.noise = seen(fitted.contest, best.fit.batch, base.noise)
-        fitted.contest.set_noise(base.noise.sigma)
-    fitted.contest.overdispersion = fitted.overdispersion
+        base.noise = seen(contest, best.fit.batch, base.noise)
+        contest.set_noise(base.noise.sigma)
+    contest.overdispersion = fitted.overdispersion
     if base.force_sigma is not None:
-        colour(fitted.contest, best.fit.batch, base.force_sigma)
-        add_nuisances(fitted.contest, best.fit.batch, doubted=base.doubted)
+        answering = fitted.of_size(1)[: LEADERS if fitted.needs_more(best) else 1]
+        _answer_as_likeliest(base, [fitted.base, *answering], base.force_sigma)
     settled = [m for m in fitted.models if m.settled]
-    base_again = refitted(fitted.contest, [fitted.base], AGAIN)[0]
+    base_again = refitted(contest, [fitted.base], AGAIN)[0]
     base.fit = base_again.fit
-    return FittedModels(fitted.contest, base_again, refitted(fitted.contest, settled, AGAIN))
+    return FittedModels(contest, base_again, refitted(contest, settled, AGAIN))
+
+
+def _answer_as_likeliest(base: Base, models: Sequence[Model], force_sigma: Array) -> None:
+    """Take the answer to noise of the force, and the nuisances, about that model which is likeliest with its own.
+
+    A law that is not there answers otherwise than the branch: stiction that lets no noise through would make alarms of
+    branches without it.
+    """
+    contest, found = base.contest, []
+    for model in models:
+        colour(contest, model.fit.batch, force_sigma)
+        add_nuisances(contest, model.fit.batch, doubted=base.doubted)
+        found.append((_surprise(contest, model), contest.colour, contest.nuisance))
+    _, contest.colour, contest.nuisance = min(found, key=lambda own: own[0])
+
+
+def _surprise(contest: Contest, model: Model) -> float:
+    """Return minus twice the log likelihood of a model under the present noise, which may be larger, and its penalty.
+
+    Up to a constant; the noise's scale is the likeliest that is not below one.
+    """
+    chi2 = float(evaluated(contest, model.fit.batch).chi2[0])
+    scale = overdispersion(contest, chi2)
+    volume = 0.0 if contest.colour is None else float(contest.colour.log_volume(torch.ones(1, device=contest.place))[0])
+    return chi2 / scale + contest.num_samples * math.log(scale) + 2.0 * volume + penalty(contest, model.members)
 
 
 def _add_effects(fitted: FittedModels, run: Run) -> None:

@@ -127,9 +127,10 @@ def _moments(length: int) -> Array:
 
 
 def _pulse(r: Recording, sample: int, axis: int, size: float) -> Recording:
-    changed = r.input.copy()
-    changed[sample, axis] += size
-    return replace(r, input=changed)
+    """Return a recording whose force is more in one sample: what acts, and what the sensor read where a law lags it."""
+    more = np.zeros_like(r.input)
+    more[sample, axis] = size
+    return replace(r, input=r.input + more, sensed=None if r.sensed is None else r.sensed + more)
 
 
 def _columns(r: Recording, at: Array, response: torch.Tensor, force_sigma: Array) -> torch.Tensor:
