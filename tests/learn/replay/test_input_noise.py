@@ -95,6 +95,26 @@ def test_noise_leaves_nothing_behind(tmp_path, law):
     assert (whole.gain[1, 0] - plain.gain[0, 0]).abs() > 0.02 * plain.gain[0, 0]
 
 
+def test_a_sensor_that_lags_passes_its_noise_on(tmp_path):
+    """Answer what the sensor read, a quarter of a sample late, as strongly as what acts where nothing is late.
+
+    Of a second, a two-hundredth more or less is 1 % of what grows with the square of time.
+    """
+    rng = np.random.default_rng(4)
+    truth = {"stiffness": STIFFNESS, "damping": DAMPING}
+    case = write_simulated_case(
+        tmp_path / "case", random_branch(rng, 2), truth, Experiment(samples=60), trajectories=2, seed=1
+    )
+    values = torch.tensor(np.concatenate([STIFFNESS, DAMPING]))
+    given = (values, np.full(3, 3.0), torch.full((6,), 1e-3))
+    known = {p.name: p.neutral for p in effect_of("time_delay").branch.parameters}
+    late = Acting("time_delay", None, known | {"lag_s": 0.005})
+    colour = input_colour(case, recordings(case), *given, unknowns=Unknowns(effects=(late,)))
+    plain = input_colour(case, recordings(case), *given)
+    assert (plain.gain.amax(1) > 10.0).all()
+    torch.testing.assert_close(colour.gain.amax(1), plain.gain.amax(1), rtol=0.05, atol=0.0)
+
+
 @pytest.mark.parametrize("samples", [110, 200, 400])
 def test_fast_answers_are_seen(tmp_path, samples):
     """Whiten a stiff branch, which swings once in five samples, as well as a soft one.
