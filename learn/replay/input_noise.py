@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from ...sim.base.types import Array
 from ..cases.case import BranchCase
@@ -31,8 +32,8 @@ from ..systems.branch import Unknowns
 from .recording import Recording
 from .rollout import Rollout
 
-#: Fewest and most pulses simulated per recording and axis, one in so many samples; between them the earlier one's
-#: response is shifted in time.
+#: Fewest and most pulses simulated per recording and axis, one in so many samples; between two of them a pulse is
+#: answered between them.
 PULSES, APART = (16, 64), 7
 #: Independent noise values per recording and axis; in longer recordings each covers several samples. Averaging loses
 #: fast noise, to which a branch that swings once in five samples responds most: of 545 samples at 100 Hz pairs left a
@@ -100,7 +101,7 @@ def input_colour(
     sets = values[None] if nearby is None else torch.cat([values[None], nearby])
     axes = np.flatnonzero(force_sigma > 0.0)
     pulsed, step = [], 5.0 * float(force_sigma.max())
-    moments = [_moments(len(r.t)) for r in chosen]
+    moments = [_moments(r.contact) for r in chosen]
     for r, at in zip(chosen, moments, strict=True):
         pulsed += [r, *(_pulse(r, int(k), int(a), step) for k in at for a in axes)]
     out = Rollout(case, pulsed, len(sets), unknowns=unknowns, device=device, alone=True)(sets)
@@ -120,10 +121,15 @@ def input_colour(
     return _stacked(parts, power)
 
 
-def _moments(length: int) -> Array:
-    """Return the samples at which pulses act; the first sample's pulse only falls, all others rise and fall."""
-    count = int(np.clip(length // APART, *PULSES))
-    return np.unique(np.concatenate([[0], np.linspace(1, length - 2, count).astype(int)]))
+def _moments(contact: NDArray[np.bool_]) -> Array:
+    """Return the samples at which pulses act, where the force is known by its noise: while the gripper holds.
+
+    The first sample's pulse only falls, all others rise and fall.
+    """
+    inside = np.flatnonzero(contact[1:-1]) + 1
+    count = min(int(np.clip(len(inside) // APART, *PULSES)), len(inside))
+    chosen = inside[np.linspace(0, len(inside) - 1, count).astype(int)] if count else inside
+    return np.unique(np.concatenate([[0], chosen]))
 
 
 def _pulse(r: Recording, sample: int, axis: int, size: float) -> Recording:
@@ -144,13 +150,27 @@ def _columns(r: Recording, at: Array, response: torch.Tensor, force_sigma: Array
             continue
         total = torch.zeros_like(response[0])
         for k in samples:
-            i = int(np.searchsorted(at, k, side="right")) - 1
-            total[:, k:length] += response[i][:, at[i] : at[i] + length - k]
+            total[:, k:length] += _answer(at, response, k, length)
         scale = torch.as_tensor(force_sigma / np.sqrt(len(samples)), device=total.device)
         out.append(total * scale[:, None, None])
     if not out:
         return response.new_zeros(longest, response.shape[-1], 0)
     return torch.cat(out).permute(1, 2, 0)
+
+
+def _answer(at: Array, response: torch.Tensor, k: int, length: int) -> torch.Tensor:
+    """Return the response to a pulse in sample k from then on, [axes, length - k, C].
+
+    Between two pulses it is between theirs, each shifted in time: a branch that swings far answers otherwise at every
+    moment. What comes later than the later one's recording lasts is the earlier one's.
+    """
+    i = int(np.searchsorted(at, k, side="right")) - 1
+    out = response[i][:, at[i] : at[i] + length - k]
+    if 0 < i < len(at) - 1 and k > at[i]:
+        share, seen = (k - at[i]) / (at[i + 1] - at[i]), length - at[i + 1]
+        out = out.clone()
+        out[:, :seen] += share * (response[i + 1][:, at[i + 1] : length] - out[:, :seen])
+    return out
 
 
 def _decompose(scaled: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -92,7 +92,7 @@ def test_noise_leaves_nothing_behind(tmp_path, law):
                      (recordings(case), recordings(case)[1:]))  # fmt: skip
     assert (whole.gain[1] == second.gain[0]).all() and (whole.basis[1] == second.basis[0]).all()
     plain = input_colour(case, recordings(case)[1:], *given)
-    assert (whole.gain[1, 0] - plain.gain[0, 0]).abs() > 0.02 * plain.gain[0, 0]
+    assert (whole.gain[1].max() - plain.gain.max()).abs() > 0.02 * plain.gain.max()
 
 
 def test_a_sensor_that_lags_passes_its_noise_on(tmp_path):
@@ -120,8 +120,8 @@ def test_fast_answers_are_seen(tmp_path, samples):
     """Whiten a stiff branch, which swings once in five samples, as well as a soft one.
 
     Raw residuals have 240 times the variance of the sensor's noise here. Means over three samples of the force's noise
-    would leave 93, a first pulse that cannot rise from a sample before 1.4; sixteen moments leave 1.16 and a hundred
-    1.02.
+    would leave 93, a first pulse that cannot rise from a sample before 1.4, answers taken over from the moment before
+    1.16; 1.02 to 1.06 are left.
     """
     rng = np.random.default_rng(7)
     meta = random_branch(rng, 1)
@@ -138,8 +138,28 @@ def test_fast_answers_are_seen(tmp_path, samples):
     measured = torch.stack([torch.as_tensor(r.output) for r in chosen])
     white = colour.whiten(((measured - clean) / torch.as_tensor(sigma))[None], torch.ones(1))
     raw = (measured - clean) / torch.as_tensor(sigma)
-    assert abs(float(white.square().mean()) - 1.0) < 0.25
+    assert abs(float(white.square().mean()) - 1.0) < 0.1
     assert float(raw.square().mean()) > 100.0
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_answers_change_along_a_wide_motion(tmp_path, seed):
+    """Whiten a branch whose tip moves by 0.6 of its length, sampled at 20 Hz.
+
+    Mean squares of 2640 numbers are known to 3 %. A pulse answered as the one some samples before it left 1.2.
+    """
+    truth = {"stiffness": np.array([20.0, 8.0]), "damping": np.array([0.3, 0.1])}
+    experiment = Experiment(samples=110, rate=20.0, force_noise=0.02, noise=0.01, deflection=0.6)
+    meta = random_branch(np.random.default_rng(seed), 2)
+    case = write_simulated_case(tmp_path / "case", meta, truth, experiment, trajectories=4, seed=3)
+    chosen, values = recordings(case), torch.tensor(np.concatenate([truth["stiffness"], truth["damping"]]))
+    clean = Rollout(case, chosen, 1)(values[None])[0].double().clone()
+    sigma = np.repeat([0.01 * float(clean[..., c : c + 3].square().mean().sqrt()) for c in (0, 3)], 3)
+    force = 0.02 * np.sqrt(np.mean(np.concatenate([r.input[r.contact] for r in chosen]) ** 2))
+    colour = input_colour(case, chosen, values, np.full(3, force), torch.as_tensor(sigma))
+    raw = (torch.stack([torch.as_tensor(r.output) for r in chosen]) - clean) / torch.as_tensor(sigma)
+    assert float(raw.square().mean()) > 5.0
+    assert abs(float(colour.whiten(raw[None], torch.ones(1)).square().mean()) - 1.0) < 0.06
 
 
 def test_whitening_inverts_the_covariance():
