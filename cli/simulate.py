@@ -380,7 +380,7 @@ def _case_joints(options: Simulate, case: JointCase, model: Model, folder: Path)
 def _missed(options: Simulate, case: BranchCase | JointCase, model: Model) -> tuple[Replayed, dict[str, Any]]:
     """Return what a model simulates of all recordings and misses of those held out, and print that for people."""
     from ..learn.inference.replayed import replay_model
-    from ..learn.inference.report import unit_of
+    from ..learn.inference.report import spoken, unit_of
 
     if not model.claimed:
         warn(f"{model.name}: the effects are the nearest that a diagnosis found; it does not claim them")
@@ -388,7 +388,7 @@ def _missed(options: Simulate, case: BranchCase | JointCase, model: Model) -> tu
     files = [case.trajectories[j].file for j in seen.test]
     apart = "not used in its fit" if set(seen.test).isdisjoint(seen.train) else "the only recording"
     if not options.json:
-        print(f"held-out RMSE {seen.rms:.3g} {unit_of(case)} ({', '.join(files)}, {apart})")
+        print(f"held-out RMSE {seen.rms:.3g} {spoken(unit_of(case))} ({', '.join(files)}, {apart})")
     return seen, {"held_out_rmse": float(seen.rms), "unit": unit_of(case), "held_out": files}
 
 

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from ...sim.effects import effect_of
+from ..inference.report import spoken
 from .decide import probe_for, within_noise
 from .diagnosis import Diagnosis, joints_of, together
 from .evidence import ALARM, LACK, lack_of
@@ -385,11 +386,6 @@ def _at(joints: list[str]) -> str:
 
 def _gap(d: Diagnosis, value: float) -> str:
     return f"{value:.3g} {spoken(d.gap.unit)}"
-
-
-def spoken(unit: str) -> str:
-    """Return a unit as a reader writes it: ``N m`` for ``N_m``, ``rad/s`` for ``rad_per_s``."""
-    return unit.replace("_per_", "/").replace("_", " ")
 
 
 def percent(x: float) -> str:

@@ -52,6 +52,11 @@ def unit_of(case: BranchCase | JointCase) -> str:
     }[output.quantity]
 
 
+def spoken(unit: str) -> str:
+    """Return a unit as a reader writes it: ``N m`` for ``N_m``, ``rad/s`` for ``rad_per_s``."""
+    return unit.replace("_per_", "/").replace("_", " ")
+
+
 def summary(outcome: Outcome) -> dict[str, Any]:
     """Return what ``report.json`` holds: scores on the held-out trajectories and every parameter's interval."""
     unit, p = unit_of(outcome.case), outcome.prediction
@@ -116,7 +121,7 @@ def _shown(outcome: Outcome) -> tuple[float, str]:
     if isinstance(outcome.case, BranchCase):
         return 100.0, "cm"
     unit = unit_of(outcome.case)
-    return (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit.replace("_per_", "/").replace("_", " "))
+    return (math.degrees(1.0), "deg") if unit == "rad" else (1.0, spoken(unit))
 
 
 def headline(outcome: Outcome) -> tuple[str, str]:

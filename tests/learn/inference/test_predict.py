@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from bough.learn.inference.identify import Identification, Settings
 from bough.learn.inference.predict import Prediction, pooled
+from bough.learn.inference.report import spoken
 from bough.learn.replay.simulated_case import Experiment, random_branch, write_simulated_case
 
 TRAIN, TEST = [0, 1, 2], [3, 4, 5, 6]
@@ -78,3 +79,11 @@ def test_pooled_scores_weigh_points_alike():
     assert len(both.t) == 2 and both.mean_nll == both.mean_crps == 2.5
     assert both.width == 1.0 and both.coverage == 1.0 and both.rms == 0.0
     assert [len(r) for r in both.residual] == [10, 30] and both.main == (0,)
+
+
+@pytest.mark.parametrize(
+    ("unit", "words"), [("N_m", "N m"), ("rad_per_s", "rad/s"), ("m_per_s2", "m/s2"), ("rad", "rad")]
+)
+def test_units_are_printed_as_they_are_read(unit, words):
+    """Write the units of files, which are parts of keys, as a reader does: ``simulate --model`` printed ``N_m``."""
+    assert spoken(unit) == words
