@@ -149,33 +149,37 @@ def _closed(base: Base, fitted: FittedModels, evidence: Evidence, run: Run) -> E
 
 
 def _recoloured(base: Base, fitted: FittedModels) -> FittedModels:
-    """Take noise, its response and the nuisances about the best models instead of the base, and refit."""
-    contest, best = fitted.contest, fitted.of_size(1)[0]
-    for seen in (noise_of_neighbours, noise_of_repeats):
-        base.noise = seen(contest, best.fit.batch, base.noise)
-        contest.set_noise(base.noise.sigma)
+    """Take noise, its response and the nuisances about the likeliest model instead of the base, and refit."""
+    contest, model = fitted.contest, fitted.of_size(1)[0]
     contest.overdispersion = fitted.overdispersion
     if base.force_sigma is not None:
-        answering = fitted.of_size(1)[: LEADERS if fitted.needs_more(best) else 1]
-        _answer_as_likeliest(base, [fitted.base, *answering], base.force_sigma)
+        leading = fitted.of_size(1)[: LEADERS if fitted.needs_more(model) else 1]
+        model = _answer_as_likeliest(base, [fitted.base, *leading], base.force_sigma)
+    known = base.noise
+    for seen in (noise_of_neighbours, noise_of_repeats):
+        base.noise = seen(contest, model.fit.batch, base.noise)
+        contest.set_noise(base.noise.sigma)
+    if base.force_sigma is not None and base.noise is not known:
+        _answer_as_likeliest(base, [model], base.force_sigma)
     settled = [m for m in fitted.models if m.settled]
     base_again = refitted(contest, [fitted.base], AGAIN)[0]
     base.fit = base_again.fit
     return FittedModels(contest, base_again, refitted(contest, settled, AGAIN))
 
 
-def _answer_as_likeliest(base: Base, models: Sequence[Model], force_sigma: Array) -> None:
+def _answer_as_likeliest(base: Base, models: Sequence[Model], force_sigma: Array) -> Model:
     """Take the answer to noise of the force, and the nuisances, about that model which is likeliest with its own.
 
     A law that is not there answers otherwise than the branch: stiction that lets no noise through would make alarms of
-    branches without it.
+    branches without it. Return that model.
     """
     contest, found = base.contest, []
     for model in models:
         colour(contest, model.fit.batch, force_sigma)
         add_nuisances(contest, model.fit.batch, doubted=base.doubted)
-        found.append((_surprise(contest, model), contest.colour, contest.nuisance))
-    _, contest.colour, contest.nuisance = min(found, key=lambda own: own[0])
+        found.append((_surprise(contest, model), contest.colour, contest.nuisance, model))
+    _, contest.colour, contest.nuisance, likeliest = min(found, key=lambda own: own[0])
+    return likeliest
 
 
 def _surprise(contest: Contest, model: Model) -> float:

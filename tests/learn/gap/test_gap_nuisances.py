@@ -61,30 +61,6 @@ def noisy(contest, rho=0.0, seed=0):
     contest.motion = contest.measured
 
 
-# ---- noise of the force ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("share", [0.4, 0.8])
-def test_a_creep_answers_noise_of_the_force(case, share):
-    """Leave white noise of the truth where a spring creeps: a fast force meets 1.4 or 1.8 times its lasting stiffness.
-
-    Mean squares of 2880 numbers are known to 3 %. Answers of the lasting stiffness alone left 1.5 and 1.6.
-    """
-    rng, force = np.random.default_rng(2), np.full(3, 0.05)
-    true = Contest(case, recordings(case), NOISE, ("viscoelastic_sls", "tip_mass"))
-    model = activated(true, true.base_batch(1), [[0]])
-    for column, value in zip(true.candidates[0].columns, (share, 0.3), strict=False):
-        model.free[0, column] = true.parameters[column].free(value)
-    seen = [replace(r, input=r.input + force * rng.standard_normal(r.input.shape) * r.contact[:, None])
-            for r in recordings(case)]  # fmt: skip
-    contest = Contest(case, seen, NOISE, true.names)
-    clean = true.simulate(true.values(model), model.start)[0].double()
-    contest.measured = clean + torch.as_tensor(NOISE * rng.standard_normal(tuple(clean.shape)))
-    assert float(contest.residual(model).square().mean()) > 3.0
-    colour(contest, model, force)
-    assert abs(float(contest.residual(model).square().mean()) - 1.0) < 0.15
-
-
 # ---- algebra --------------------------------------------------------------------------------------------------------
 
 
