@@ -101,11 +101,17 @@ def settle(base: Base) -> None:
         contest.set_noise(base.noise.sigma)
         base.fit = fit(contest, base.fit.batch, 3)
     if isinstance(case, BranchCase) and base.force_sigma is not None:
-        colour(contest, base.fit.batch, base.force_sigma)
-        add_nuisances(contest, base.fit.batch, doubted=base.doubted)
+        answer_as(base, base.fit.batch)
         base.fit = fit(contest, base.fit.batch, 3)
         contest.overdispersion = overdispersion(contest, float(base.fit.chi2[0]))
         base.fit = fit(contest, base.fit.batch, 4)
+
+
+def answer_as(base: Base, model: Batch) -> None:
+    """Take the answer to noise of a branch's force, and the nuisances, about a model, a batch of one."""
+    if base.force_sigma is not None:
+        colour(base.contest, model, base.force_sigma)
+        add_nuisances(base.contest, model, doubted=base.doubted)
 
 
 def _modes(contest: Contest, seed: int) -> Batch:

@@ -8,10 +8,9 @@ from dataclasses import dataclass, fields
 
 import torch
 
-from ...sim.base.types import Array
 from ..replay.input_noise import Colour
 from .evidence import ALARM, Evidence, bootstrap_test, lacks_fit, retested
-from .geometry import add_nuisances, in_doubt
+from .geometry import in_doubt
 from .models.at_rest import Noise, noise_of_neighbours, noise_of_repeats
 from .models.contest import Batch, Contest
 from .models.fitted import FittedModels, Model, overdispersion, penalty
@@ -33,7 +32,7 @@ from .models.nested import close, fitted_again, rebased
 from .models.nuisance import Nuisances
 from .models.refit import Fits, evaluated
 from .models.widespread import widespread
-from .prepare import Base, colour, settle
+from .prepare import Base, answer_as, settle
 from .run import Run
 
 #: Steps of a refit after the noise model has changed.
@@ -154,20 +153,20 @@ def _recoloured(base: Base, fitted: FittedModels) -> FittedModels:
     contest.overdispersion = fitted.overdispersion
     if base.force_sigma is not None:
         leading = fitted.of_size(1)[: LEADERS if fitted.needs_more(model) else 1]
-        model = _answer_as_likeliest(base, [fitted.base, *leading], base.force_sigma)
+        model = _answer_as_likeliest(base, [fitted.base, *leading])
     known = base.noise
     for seen in (noise_of_neighbours, noise_of_repeats):
         base.noise = seen(contest, model.fit.batch, base.noise)
         contest.set_noise(base.noise.sigma)
-    if base.force_sigma is not None and base.noise is not known:
-        _answer_as_likeliest(base, [model], base.force_sigma)
+    if base.noise is not known:
+        answer_as(base, model.fit.batch)
     settled = [m for m in fitted.models if m.settled]
     base_again = refitted(contest, [fitted.base], AGAIN)[0]
     base.fit = base_again.fit
     return FittedModels(contest, base_again, refitted(contest, settled, AGAIN))
 
 
-def _answer_as_likeliest(base: Base, models: Sequence[Model], force_sigma: Array) -> Model:
+def _answer_as_likeliest(base: Base, models: Sequence[Model]) -> Model:
     """Take the answer to noise of the force, and the nuisances, about that model which is likeliest with its own.
 
     A law that is not there answers otherwise than the branch: stiction that lets no noise through would make alarms of
@@ -175,8 +174,7 @@ def _answer_as_likeliest(base: Base, models: Sequence[Model], force_sigma: Array
     """
     contest, found = base.contest, []
     for model in models:
-        colour(contest, model.fit.batch, force_sigma)
-        add_nuisances(contest, model.fit.batch, doubted=base.doubted)
+        answer_as(base, model.fit.batch)
         found.append((_surprise(contest, model), contest.colour, contest.nuisance, model))
     _, contest.colour, contest.nuisance, likeliest = min(found, key=lambda own: own[0])
     return likeliest

@@ -128,7 +128,7 @@ def _moments(contact: NDArray[np.bool_]) -> Array:
     """
     inside = np.flatnonzero(contact[1:-1]) + 1
     count = min(int(np.clip(len(inside) // APART, *PULSES)), len(inside))
-    chosen = inside[np.linspace(0, len(inside) - 1, count).astype(int)] if count else inside
+    chosen = inside[np.linspace(0, len(inside) - 1, count).astype(int)]
     return np.unique(np.concatenate([[0], chosen]))
 
 

@@ -17,6 +17,28 @@ DRAWS = 600
 STIFFNESS, DAMPING = np.array([60.0, 25.0]), np.array([0.9, 0.3])
 
 
+def two_segments(folder, experiment):
+    """Return two recordings of a branch of two segments, and its parameters [4]."""
+    truth = {"stiffness": STIFFNESS, "damping": DAMPING}
+    meta = random_branch(np.random.default_rng(4), 2)
+    case = write_simulated_case(folder, meta, truth, experiment, trajectories=2, seed=1)
+    return case, torch.tensor(np.concatenate([STIFFNESS, DAMPING]))
+
+
+def whitened(case, values, noise, force_noise):
+    """Return residuals of a case's truth [R, T, C] in units of its channels' noise, and the same whitened.
+
+    Noises are shares of the motion's and of the force's rms, which it was written with.
+    """
+    chosen = recordings(case)
+    clean = Rollout(case, chosen, 1)(values[None])[0].double().clone()
+    sigma = np.repeat([noise * float(clean[..., c : c + 3].square().mean().sqrt()) for c in (0, 3)], 3)
+    force = force_noise * np.sqrt(np.mean(np.concatenate([r.input[r.contact] for r in chosen]) ** 2))
+    colour = input_colour(case, chosen, values, np.full(3, force), torch.as_tensor(sigma))
+    raw = (torch.stack([torch.as_tensor(r.output) for r in chosen]) - clean) / torch.as_tensor(sigma)
+    return raw, colour.whiten(raw[None], torch.ones(1))
+
+
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory):
     """Return a recording of two segments, its colour, and what the force's noise adds to its motion.
@@ -78,12 +100,7 @@ def test_whitened_draws_are_white(noisy):
 @pytest.mark.parametrize("law", ["plastic_set", "hysteresis_boucwen"])
 def test_noise_leaves_nothing_behind(tmp_path, law):
     """Answer a pulse in one recording as if no other had been, though the law remembers; see the law in the answer."""
-    rng = np.random.default_rng(4)
-    truth = {"stiffness": STIFFNESS, "damping": DAMPING}
-    case = write_simulated_case(
-        tmp_path / "case", random_branch(rng, 2), truth, Experiment(samples=30), trajectories=2, seed=1
-    )
-    values = torch.tensor(np.concatenate([STIFFNESS, DAMPING]))
+    case, values = two_segments(tmp_path / "case", Experiment(samples=30))
     given = (values, np.full(3, 0.1), torch.full((6,), 1e-3))
     known = {p.name: p.neutral for p in effect_of(law).branch.parameters}
     acting = Acting(law, 1, known | {"yield_rad": 0.01, "share": 0.4})
@@ -100,12 +117,7 @@ def test_a_sensor_that_lags_passes_its_noise_on(tmp_path):
 
     Of a second, a two-hundredth more or less is 1 % of what grows with the square of time.
     """
-    rng = np.random.default_rng(4)
-    truth = {"stiffness": STIFFNESS, "damping": DAMPING}
-    case = write_simulated_case(
-        tmp_path / "case", random_branch(rng, 2), truth, Experiment(samples=60), trajectories=2, seed=1
-    )
-    values = torch.tensor(np.concatenate([STIFFNESS, DAMPING]))
+    case, values = two_segments(tmp_path / "case", Experiment(samples=60))
     given = (values, np.full(3, 3.0), torch.full((6,), 1e-3))
     known = {p.name: p.neutral for p in effect_of("time_delay").branch.parameters}
     late = Acting("time_delay", None, known | {"lag_s": 0.005})
@@ -129,15 +141,8 @@ def test_fast_answers_are_seen(tmp_path, samples):
     truth = {"stiffness": np.array([60.0**2 * inertia]), "damping": np.array([0.2 * 60.0 * inertia])}
     experiment = Experiment(samples=samples, force_noise=0.02, noise=0.005, deflection=0.03)
     case = write_simulated_case(tmp_path / "case", meta, truth, experiment, trajectories=2, seed=3)
-    chosen = recordings(case)
-    values = torch.tensor([[truth["stiffness"][0], truth["damping"][0]]])
-    clean = Rollout(case, chosen, 1)(values)[0].double().clone()
-    sigma = np.repeat([0.005 * float(clean[..., c : c + 3].square().mean().sqrt()) for c in (0, 3)], 3)
-    force = 0.02 * np.sqrt(np.mean(np.concatenate([r.input[r.contact] for r in chosen]) ** 2))
-    colour = input_colour(case, chosen, values[0], np.full(3, force), torch.as_tensor(sigma))
-    measured = torch.stack([torch.as_tensor(r.output) for r in chosen])
-    white = colour.whiten(((measured - clean) / torch.as_tensor(sigma))[None], torch.ones(1))
-    raw = (measured - clean) / torch.as_tensor(sigma)
+    values = torch.tensor(np.concatenate([truth["stiffness"], truth["damping"]]))
+    raw, white = whitened(case, values, experiment.noise, experiment.force_noise)
     assert abs(float(white.square().mean()) - 1.0) < 0.1
     assert float(raw.square().mean()) > 100.0
 
@@ -152,14 +157,10 @@ def test_answers_change_along_a_wide_motion(tmp_path, seed):
     experiment = Experiment(samples=110, rate=20.0, force_noise=0.02, noise=0.01, deflection=0.6)
     meta = random_branch(np.random.default_rng(seed), 2)
     case = write_simulated_case(tmp_path / "case", meta, truth, experiment, trajectories=4, seed=3)
-    chosen, values = recordings(case), torch.tensor(np.concatenate([truth["stiffness"], truth["damping"]]))
-    clean = Rollout(case, chosen, 1)(values[None])[0].double().clone()
-    sigma = np.repeat([0.01 * float(clean[..., c : c + 3].square().mean().sqrt()) for c in (0, 3)], 3)
-    force = 0.02 * np.sqrt(np.mean(np.concatenate([r.input[r.contact] for r in chosen]) ** 2))
-    colour = input_colour(case, chosen, values, np.full(3, force), torch.as_tensor(sigma))
-    raw = (torch.stack([torch.as_tensor(r.output) for r in chosen]) - clean) / torch.as_tensor(sigma)
+    values = torch.tensor(np.concatenate([truth["stiffness"], truth["damping"]]))
+    raw, white = whitened(case, values, experiment.noise, experiment.force_noise)
     assert float(raw.square().mean()) > 5.0
-    assert abs(float(colour.whiten(raw[None], torch.ones(1)).square().mean()) - 1.0) < 0.06
+    assert abs(float(white.square().mean()) - 1.0) < 0.06
 
 
 def test_whitening_inverts_the_covariance():
