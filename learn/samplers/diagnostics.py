@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 import torch
+from scipy.cluster.hierarchy import fcluster, linkage
 
 from ...sim.base.types import Array
 from .base import spread
@@ -23,6 +24,8 @@ MAX_STEIN = 0.2
 """Largest violation of Stein's identity for linear functions: standard deviations (mean), relative (covariance)."""
 MAX_KSD_RATIO = 1.2
 """Largest kernelised Stein discrepancy (KSD) of converged particles, relative to that of as many exact draws."""
+APART = 3.0
+"""How many times farther than neighbours of one mode are, particles of two modes are from each other."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,8 @@ def converged(trace: torch.Tensor, *, chain: bool, gradient: torch.Tensor | None
     Chains: over the second half, split R-hat below 1.05 and bulk effective sample size above 100 for each coordinate.
     Particles: over the last fifth, mean and spread of each coordinate drift by less than 0.1 deviations; at the end
     Stein's identity E[grad log p f + grad f] = 0 holds within 0.2 for all linear f, and the kernelised Stein
-    discrepancy is at most 1.2 times that of as many exact draws.
+    discrepancy is at most 1.2 times that of as many exact draws. Where the particles lie in modes far from each other
+    (`modes_of`), means and spreads are those within each of them; how many particles each has is taken as given.
 
     Args:
         trace: Positions after every iteration, shape [I, P, D].
@@ -80,8 +84,9 @@ def _check_particles(trace: torch.Tensor, gradient: torch.Tensor) -> Convergence
         return Convergence(False, "positions or gradients that are not finite")
     if bool((x.std(0) <= 1e-9 * x.abs().max()).any()):
         return Convergence(False, "the particles have collapsed onto one value of a coordinate")
-    drift = particle_drift(trace)
-    first, second = stein_residuals(x, gradient)
+    mode = modes_of(x)
+    drift = particle_drift(trace - _own_mean(x, mode))
+    first, second = stein_residuals(x, gradient, mode)
     ratio = ksd_ratio(x, gradient)
     return _verdict(
         [
@@ -121,6 +126,32 @@ def _by_coordinate(name: str, trace: torch.Tensor) -> torch.Tensor:
         return torch.tensor([float(function(c)) for c in chains], dtype=torch.float64)
 
 
+def modes_of(x: torch.Tensor) -> torch.Tensor:
+    """Return which of K modes each particle lies in, shape [P, K], one or zero.
+
+    Particles are joined to their neighbours, nearest first. Two modes are apart where the next join is `APART` times as
+    long as the one before and half of the joins are done. Of 300 sets of 64 normal draws in 2 to 30 dimensions none had
+    a join 2.5 times as long as the one before. A lone particle is counted to the largest mode.
+
+    Args:
+        x: Positions, shape [P, D].
+    """
+    joins = linkage(x.cpu().numpy(), "single")
+    length = joins[len(joins) // 2 :, 2]
+    rise = length[1:] / length[:-1]
+    mode = np.ones(len(x), dtype=int)
+    if rise.max(initial=0.0) > APART:
+        mode = fcluster(joins, length[int(rise.argmax())], "distance")
+    count = np.bincount(mode)
+    mode = np.where(count[mode] > 1, mode, count.argmax())
+    return torch.as_tensor(mode[:, None] == np.unique(mode)).to(x)
+
+
+def _own_mean(x: torch.Tensor, mode: torch.Tensor) -> torch.Tensor:
+    """Return the mean of the particles in every particle's mode, shape [P, D]."""
+    return mode @ ((mode.T @ x) / mode.sum(0)[:, None])
+
+
 def particle_drift(trace: torch.Tensor) -> float:
     """Return how far means and spreads of [I, P, D] were from their last value in the last fifth [last deviations]."""
     tail = trace[-max(2, len(trace) // 5) :]
@@ -130,20 +161,26 @@ def particle_drift(trace: torch.Tensor) -> float:
     return float(torch.maximum(means.abs().max(), spreads.abs().max()))
 
 
-def stein_residuals(x: torch.Tensor, gradient: torch.Tensor) -> tuple[float, float]:
+def stein_residuals(x: torch.Tensor, gradient: torch.Tensor, mode: torch.Tensor | None = None) -> tuple[float, float]:
     """Return by how much Stein's identity fails for constant and for linear functions.
 
     Draws x of a density with gradient g of its logarithm have E[g] = 0 and E[g (x - m)^T] = -I. The first is measured
     in deviations of the gradient, so for a normal density in deviations of the mean; the second by the largest
     eigenvalue of E[g (x - m)^T] + I in size, so for a normal density by the relative error of the variance.
 
+    Between modes that are far apart the density is nil, so that both identities hold in each of them, for functions
+    that are constant there and for x minus the mode's own mean. About one mean a gradient that is left over in one of
+    two modes 80 deviations apart would count 40 times.
+
     Args:
         x: Positions, shape [P, D].
         gradient: Gradients there, shape [P, D].
+        mode: Which of K modes a position lies in, shape [P, K], one or zero (`modes_of`); None for one mode.
     """
-    mean = torch.linalg.solve_triangular(spread(gradient), gradient.mean(0)[:, None], upper=False)
-    matrix = gradient.T @ (x - x.mean(0)) / len(x) + torch.eye(x.shape[1]).to(x)
-    return float(mean.norm() / x.shape[1] ** 0.5), float(torch.linalg.eigvals(matrix).abs().max())
+    own = torch.ones_like(x[:, :1]) if mode is None else mode
+    mean = torch.linalg.solve_triangular(spread(gradient), gradient.T @ own / len(x), upper=False)
+    matrix = gradient.T @ (x - _own_mean(x, own)) / len(x) + torch.eye(x.shape[1]).to(x)
+    return float(mean.norm(dim=0).max() / x.shape[1] ** 0.5), float(torch.linalg.eigvals(matrix).abs().max())
 
 
 def squared_ksd(x: torch.Tensor, gradient: torch.Tensor, *, statistic: Literal["u", "v"] = "v") -> float:

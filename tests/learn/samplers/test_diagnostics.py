@@ -10,6 +10,7 @@ from bough.learn.samplers.diagnostics import (
     converged,
     effective_size,
     ksd_ratio,
+    modes_of,
     r_hat,
     squared_ksd,
     stein_residuals,
@@ -127,16 +128,49 @@ def test_particles_converge_unless_cut_short(dims, count):
     assert "Stein identity, spread" in bad.reason
 
 
-def test_modes_at_rest_are_converged():
-    """Pass particles at rest in two modes ten deviations apart."""
+def two_modes(apart):
+    """Log density of two normals with deviations one and three, ``apart`` from each other in both coordinates."""
 
     def log_density(x):
-        return torch.logaddexp(-0.5 * (x**2).sum(1), -0.5 * ((x - 7.0) ** 2).sum(1))
+        second = -0.5 * ((x - apart) ** 2).sum(1) / 9.0 - 2.0 * math.log(3.0)
+        return torch.logaddexp(-0.5 * (x**2).sum(1), second)
 
+    return AutogradDensity(log_density)
+
+
+@pytest.mark.parametrize("apart", [7.0, 60.0, 1000.0])
+def test_modes_at_rest_are_converged(apart):
+    """Pass particles at rest in two modes of other width, however far they are apart."""
     x = draws(100, 2)
-    x[::2] += 7.0
-    verdict = judge(sample(AutogradDensity(log_density), x, iterations=100))
+    x[::2] = 3.0 * x[::2] + apart
+    verdict = judge(sample(two_modes(apart), x, iterations=100))
     assert verdict.converged, verdict.reason
+
+
+@pytest.mark.parametrize("wrong", [0.5, 1.6])
+def test_one_mode_too_narrow_or_too_wide_is_not_converged(wrong):
+    """Fail two modes of which one is drawn with other deviations, or two of its deviations off."""
+    x = draws(200, 2)
+    x[::2] = 3.0 * wrong * x[::2] + 1000.0
+    moved = draws(200, 2)
+    moved[::2] = 3.0 * (moved[::2] + 2.0) + 1000.0
+    for start, text in ((x, "spread"), (moved, "mean")):
+        verdict = converged(start.expand(20, 200, 2), chain=False, gradient=two_modes(1000.0).evaluate(start)[1])
+        assert not verdict.converged
+        assert f"Stein identity, {text}" in verdict.reason
+
+
+@pytest.mark.parametrize("dims", [1, 3, 12])
+def test_particles_are_counted_to_their_modes(dims):
+    """Tell three modes of other sizes apart, count a lone particle to the largest, and leave one normal whole."""
+    x = draws(64, dims)
+    x[:20] += 300.0
+    x[20:26] = 5.0 * x[20:26] - 1000.0
+    x[26] += 5000.0
+    mode = modes_of(x)
+    assert sorted(mode.sum(0).tolist()) == [6.0, 20.0, 38.0]
+    assert float(mode[26] @ mode.sum(0)) == 38.0
+    assert all(modes_of(draws(64, dims, seed=k)).shape[1] == 1 for k in range(1, 20))
 
 
 def test_particles_that_do_not_move_are_not_converged():
