@@ -193,9 +193,23 @@ def _advice(outcome: Outcome) -> str:
 
 
 def caveat(outcome: Outcome) -> str:
-    """Return what to know before the intervals are used: they hold if the model does; empty where it does."""
-    if not outcome.posterior.convergence.converged:
+    """Return what to know before the intervals are used: they hold if the model does, and span all modes.
+
+    Empty where the model is right as far as the recordings tell and there is one mode.
+    """
+    done = outcome.posterior.convergence
+    if not done.converged:
         return "The sampler did not converge: these intervals are not those of the posterior."
+    modes = int(done.numbers.get("modes", 1))
+    several = (
+        f"The particles lie in {modes} modes far from each other: the recordings allow {modes} answers, and an interval"
+        " spans them all." if modes > 1 else ""
+    )  # fmt: skip
+    return " ".join(text for text in (several, _misses(outcome)) if text)
+
+
+def _misses(outcome: Outcome) -> str:
+    """Return what a model that misses the motion does to the intervals; empty where it does not."""
     if outcome.ratio <= TOLERANCE:
         return ""
     return (

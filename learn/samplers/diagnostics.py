@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -35,7 +35,7 @@ class Convergence:
     Attributes:
         converged: Whether every criterion holds.
         reason: The criteria and what was found, in one line: those that fail, or all where none fails.
-        numbers: Diagnostics by name.
+        numbers: Diagnostics by name; of particles also ``modes``, in how many far from each other they lie.
     """
 
     converged: bool
@@ -88,7 +88,7 @@ def _check_particles(trace: torch.Tensor, gradient: torch.Tensor) -> Convergence
     drift = particle_drift(trace - _own_mean(x, mode))
     first, second = stein_residuals(x, gradient, mode)
     ratio = ksd_ratio(x, gradient)
-    return _verdict(
+    verdict = _verdict(
         [
             ("drift", drift, drift < MAX_DRIFT, f"drift {drift:.3f} sd in the last fifth (below {MAX_DRIFT})"),
             ("stein_mean", first, first < MAX_STEIN, f"Stein identity, mean {first:.3f} (below {MAX_STEIN})"),
@@ -97,6 +97,7 @@ def _check_particles(trace: torch.Tensor, gradient: torch.Tensor) -> Convergence
              f"(below {MAX_KSD_RATIO})"),
         ]
     )  # fmt: skip
+    return replace(verdict, numbers={**verdict.numbers, "modes": float(mode.shape[1])})
 
 
 def _verdict(criteria: list[tuple[str, float, bool, str]]) -> Convergence:

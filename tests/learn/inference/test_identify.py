@@ -1,6 +1,7 @@
 """Identification from a case folder to its report."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ import torch
 import yaml
 from bough.learn.cases.case import BranchCase, load_case
 from bough.learn.inference.identify import Settings, identify, run, split
+from bough.learn.inference.report import caveat
 from bough.learn.inference.target import Target
 from bough.learn.replay.recording import recordings
 from bough.sim.base.errors import InputError
@@ -65,6 +67,12 @@ def test_joint_case_with_known_answer(tmp_path):
     slack = 1 + 1e-3  # the step's own error, see test_target
     assert (low / slack <= [80.0, 1.5]).all() and (high * slack >= [80.0, 1.5]).all()
     assert outcome.ratio < 1.1
+    assert caveat(outcome) == ""
+    done = outcome.posterior.convergence
+    several = replace(done, numbers={**done.numbers, "modes": 2.0})
+    assert "in 2 modes far from each other" in caveat(
+        replace(outcome, posterior=replace(outcome.posterior, convergence=several))
+    )
 
 
 @pytest.mark.skipif(not PENDULUM.exists(), reason="the shared measurements are not here")
