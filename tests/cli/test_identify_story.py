@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -15,6 +16,7 @@ import yaml
 from oracles import json_page
 
 QUICK = ("--particles", 24)
+MAKEFILE = Path(__file__).parents[2] / "Makefile"
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +43,15 @@ def test_identify_writes_posterior_and_report(identified, measured):
     learnt = [report["parameters"][f"stiffness {name}"]["median"] for name in truth["branch"]["names"]]
     # Wood that bends inside a segment makes the fitted springs a few percent soft; 12 % is what the project allows.
     np.testing.assert_allclose(learnt, truth["K"], rtol=0.12)
+
+
+def test_the_branch_of_make_demo_is_learnt(inside):
+    """Hide nothing in a branch and learn it, by the lines that `make demo` types: the sampler converges."""
+    typed = re.findall(r"^\t\$\(BIN\)/bough ((?:hide|identify) .*/case\b.*)$", MAKEFILE.read_text(), re.MULTILINE)
+    assert [line.split()[0] for line in typed] == ["hide", "identify"]
+    for line in typed:
+        done = inside(*line.replace("$(DEMO)/", "").split())
+        assert done.code == 0, done.out + done.err
 
 
 def test_posterior_feeds_a_forest_and_the_next_case(bough, inside, identified, measured):
