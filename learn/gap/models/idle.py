@@ -6,7 +6,9 @@ curvature at the fit (Wald 1943, Trans. Am. Math. Soc. 54:426). The best of the 
 that a law is not the worse for forms that it need not have.
 
 A model of joints that is named is fitted without them: a friction that may grow towards rest says little of its size,
-and particles that wander where nothing changes say nothing.
+and particles that wander where nothing changes say nothing. Of torques it is also fitted without those that do not pay
+on recordings left out: where a law is not quite right they follow one recording's peculiarity, and take a part of the
+law's size with them. (Of a replay the recordings left out have no start of their own.)
 """
 
 from __future__ import annotations
@@ -17,14 +19,20 @@ from dataclasses import dataclass, replace
 import torch
 
 from ...cases.case import BranchCase
+from ...replay.equation_error import fits_torque
 from .certain import covariance, distance
 from .contest import Contest
 from .fitted import FURTHER, FittedModels, Model, price
+from .left_out import left_out_chi2, profiles
 from .nested import neutral_of
 from .refit import fit
 
 #: Steps of a fit without parameters that do nothing.
 WITHOUT = 12
+#: Fewest experiments of which one is left out in turn: from one or two no law's form can be foretold.
+LEFT_OUT = 3
+#: Most effects of a model whose parameters are left out one by one.
+FEW = 2
 
 
 @dataclass(frozen=True)
@@ -53,21 +61,51 @@ def spare(fitted: FittedModels) -> None:
 
 
 def lean(fitted: FittedModels, model: Model) -> Model:
-    """Return a model of joints without the parameters that may as well be neutral, fitted without them.
+    """Return a model of joints without the parameters that do nothing or do not pay, fitted without them.
 
-    The model itself where there are none, where it leaves more without them than they cost, and for branches. Without
-    one of them another may do nothing either, such as the rate towards which friction grows that does not.
+    The model itself where there are none, and for branches.
     """
-    contest = fitted.contest
-    own = [] if isinstance(contest.case, BranchCase) or model.rests else optional(contest, model)
-    gone = saved(contest, model, own)[1] if own else []
+    if isinstance(fitted.contest.case, BranchCase) or model.rests:
+        return model
+    needed = _needed(fitted, model)
+    return _paying(fitted, needed) if fits_torque(fitted.contest.case) else needed
+
+
+def _needed(fitted: FittedModels, model: Model) -> Model:
+    """Return a model without the parameters that may as well be neutral.
+
+    The model itself where it leaves more without them than they cost. Without one of them another may do nothing
+    either, such as the rate towards which friction grows that does not.
+    """
+    own = optional(fitted.contest, model)
+    gone = saved(fitted.contest, model, own)[1] if own else []
     if not gone:
         return model
+    less = _without(fitted.contest, model, gone)
+    more = (less.cost - model.cost) / fitted.overdispersion
+    return model if more > sum(x.price for x in gone) else _needed(fitted, less)
+
+
+def _paying(fitted: FittedModels, model: Model) -> Model:
+    """Return a model without the parameters without which it predicts recordings left out no worse, one by one.
+
+    One law at many joints keeps its own: they are too many to be tried so.
+    """
+    contest, groups = fitted.contest, profiles(fitted.contest)
+    own = [x for x in optional(contest, model) if bool(model.fit.batch.active[0, x.column])]
+    if not own or len(groups) < LEFT_OUT or len(model.members) > FEW:
+        return model
+    less = [_without(contest, model, [x]) for x in own]
+    left = left_out_chi2(contest, [model, *less], groups).sum(1)
+    best = int(left[1:].argmin())
+    return model if left[1 + best] > left[0] else _paying(fitted, less[best])
+
+
+def _without(contest: Contest, model: Model, gone: Sequence[Optional]) -> Model:
+    """Return a model fitted without parameters."""
     batch = model.fit.batch.copy()
     batch.active[:, [x.column for x in gone]] = False
-    fits = fit(contest, batch, WITHOUT)
-    more = (float(fits.cost[0]) - model.cost) / fitted.overdispersion
-    return model if more > sum(x.price for x in gone) else lean(fitted, replace(model, fit=fits, idle=0.0))
+    return replace(model, fit=fit(contest, batch, WITHOUT), idle=0.0)
 
 
 def optional(contest: Contest, model: Model) -> list[Optional]:
