@@ -17,7 +17,7 @@ from ...sim.base.errors import InputError, shortened
 from ...sim.base.strict_yaml import YamlFile, nearest
 from ...sim.base.types import Array
 from ...sim.trees.measured import MeasuredBranch
-from .clock import Clock, Timed, check_clock, resampled, timed
+from .clock import Clock, Timed, check_clock, resampled, round_rate, timed
 from .columns import read_columns, resolution
 from .joints import JointSetup, check_joint_meta, joint_setup
 from .schema import (
@@ -452,7 +452,8 @@ def _load_joints(folder: Path, meta: JointMeta, file: YamlFile) -> JointCase:
         if abs(own - dt) * len(trajectory.t) > 0.5 * dt:
             path, found = folder / item.file, f"a sample every {own:.9g} s"
             name = _clock(meta.time_column, None).columns[0]
-            raise InputError(path, f"column {name}", found, f"{dt:.9g} s as in the other trajectories")
+            allowed = f"{dt:.9g} s as in the other trajectories, or resample_hz: {round_rate(1.0 / dt)} in meta.yaml"
+            raise InputError(path, f"column {name}", found, allowed)
     setup = joint_setup(meta, file, folder, dt)
     return JointCase(
         **vars(setup),

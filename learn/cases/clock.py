@@ -136,7 +136,7 @@ def check_clock(timed: Timed, sample_rate: float | None = None) -> float:
         found = f"a step of {steps[i]:.9g} s"
         allowed = (
             f"{typical:.9g} s as elsewhere (uniform sampling, times with enough decimals), or "
-            f"resample_hz: {_round_rate(sample_rate or 1 / typical)} in meta.yaml"
+            f"resample_hz: {round_rate(sample_rate or 1 / typical)} in meta.yaml"
         )
         raise InputError(columns.path, columns.place(i + 1, timed.name), found, allowed)
     if sample_rate is not None and abs((t[-1] - t[0]) * sample_rate - (len(t) - 1)) > slack * sample_rate:
@@ -152,7 +152,8 @@ def _unit_hint(ratio: float) -> str:
     return "" if scale is None else f"; for a clock in another unit, time_scale: {scale:.0e} there"
 
 
-def _round_rate(rate: float) -> str:
+def round_rate(rate: float) -> str:
+    """Return a sample rate [Hz] in words, whole where it is so to a thousandth."""
     return f"{round(rate)}" if abs(rate - round(rate)) < 1e-3 * rate else f"{rate:.6g}"
 
 

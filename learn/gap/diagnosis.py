@@ -196,7 +196,8 @@ class Diagnosis:
         seconds: Wall time of each stage.
         tried: Labels of the effects in the repaired model, claimed or not; empty where it is the base model.
         size: Change of the motion that the preferred model makes, as a share of the motion's rms.
-        swing: Rms of the held-out main channels about their means, in the gap's unit.
+        swing: Rms of the held-out main channels about their means, in the gap's unit; of torques that of all
+            recordings about the mean of all.
         scatter: Rms by which repeats of one experiment scatter in the main channels, in the gap's unit; None where
             nothing was repeated.
         unusable: Why the data cannot support a verdict, with the missing probe; None where they can.

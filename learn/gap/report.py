@@ -24,7 +24,7 @@ from ..reports.figures import MODEL
 from ..reports.motion import ReportMotion
 from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number, write_report
 from ..systems.model_file import BranchModel, write_model
-from .consistent import error_name, far, grows, missed, percent, plain, readable, share, significant
+from .consistent import error_name, far, grows, missed, of_what, percent, plain, readable, share, significant
 from .decide import TIED
 from .diagnosis import Diagnosis, Rival, Share, together
 from .evidence import ALARM
@@ -143,7 +143,7 @@ def _gap(d: Diagnosis) -> list[KeyNumber]:
         name, of = "RMSE", " In the only recording, to which the model was fitted: nothing is held out."
     shown = [
         KeyNumber(f"{name}, base model", scale * d.gap.base, unit,
-                  f"Springs and dampers alone.{of} {percent(missed(d))} of the motion beyond the noise."),
+                  f"Springs and dampers alone.{of} {percent(missed(d))} {of_what(d)} beyond the noise."),
         KeyNumber(f"{name}, {BEST}", scale * d.gap.repaired, unit, _repaired(d)),
         KeyNumber("Noise floor", scale * d.gap.noise_floor, unit, _floor(d)),
     ]  # fmt: skip
@@ -186,11 +186,16 @@ def _effects(d: Diagnosis) -> list[KeyNumber]:
 
 
 def bare(name: str) -> str:
-    """Return an effect's parameter without the unit in its name: the unit stands beside it, and a slide has another."""
+    """Return an effect's parameter without the unit in its name: the unit stands beside it, and a slide has another.
+
+    A rate whose name without the unit is another parameter's is called so.
+    """
     label, _, own = name.rpartition(" ")
     laws = [law for e in effects() for law in (e.branch, e.joint) if law is not None]
+    every = {p.name for law in laws for p in law.parameters}
     if own in {p.name for law in laws for p in law.parameters if p.unit != "1"}:
-        own = own.rpartition("_")[0]
+        own, _, unit = own.rpartition("_")
+        own += " rate" if own in every and unit.endswith("ps") else ""
     return f"{label} {own}".strip()
 
 
@@ -271,6 +276,11 @@ def _tables(d: Diagnosis) -> list[ReportTable]:
         f"within {TIED:g} cannot be told apart. Explained: share of the base model's excess chi-squared. "
         "Cross-validated: reduced chi-squared in recordings left out of the fit."
     )
+    if any(r.delta < -TIED for r in d.ranking):
+        note += (
+            " A model above the preferred one is not named where its further effect explains too little of the base"
+            " model's excess or does not pay on recordings left out: a law that is not quite right has such partners."
+        )
     values: list[tuple[object, ...]] = [
         (bare(name), d.base_values.get(name, "-"), d.best_values.get(name, "-"))
         for name in dict.fromkeys([*d.base_values, *d.best_values])
@@ -290,7 +300,7 @@ def _ranked(d: Diagnosis) -> list[Rival]:
 def _details(d: Diagnosis) -> dict[str, object]:
     return {
         "candidate effects": ", ".join(d.settings.effects) or "all that the case can show",
-        "tolerance": f"{d.settings.tolerance:g} of the motion's rms",
+        "tolerance": f"{d.settings.tolerance:g} of the rms {of_what(d)}",
         "most effects together": d.settings.max_effects,
         "seed": d.settings.seed,
         **(

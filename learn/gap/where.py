@@ -132,9 +132,12 @@ def _residual(r: Recording, simulated: Array, broken: Array) -> Array:
 def motion_of(case: BranchCase | JointCase, recordings: Sequence[Recording]) -> Array:
     """Return the rms of every channel's motion, [C]: about rest for a branch, its axes together; else about its mean.
 
-    The zero of an encoder is anywhere, so a joint's motion is what it does about the mean of each recording. One where
-    nothing moves at all.
+    The zero of an encoder is anywhere, so a joint's motion is what it does about the mean of each recording. Torques
+    are taken about the mean of all: at a steady speed one recording's torque is constant, and friction all of it. One
+    where nothing moves at all.
     """
+    if fits_torque(case):
+        return _or_one(np.concatenate([r.output for r in recordings]).std(axis=0))
     if not isinstance(case, BranchCase):
         away = np.concatenate([r.output - r.output.mean(axis=0) for r in recordings])
         return _or_one(np.sqrt(np.mean(away**2, axis=0)))
@@ -148,9 +151,9 @@ def _or_one(spread: Array) -> Array:
 
 
 def swing_of(case: BranchCase | JointCase, recordings: Sequence[Recording], chosen: Sequence[int]) -> float:
-    """Return the rms motion of some recordings in the main channels, as `motion_of` takes it."""
-    main = list(main_channels(case))
-    return float(np.sqrt(np.mean(motion_of(case, [recordings[j] for j in chosen])[main] ** 2)))
+    """Return the rms motion of some recordings in the main channels, as `motion_of` takes it; of all for torques."""
+    main, taken = list(main_channels(case)), range(len(recordings)) if fits_torque(case) else chosen
+    return float(np.sqrt(np.mean(motion_of(case, [recordings[j] for j in taken])[main] ** 2)))
 
 
 def replicate_scatter(case: BranchCase | JointCase, recordings: Sequence[Recording]) -> float | None:

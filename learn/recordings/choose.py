@@ -214,7 +214,7 @@ def _check_axes(motion: Quantity, effort: Quantity | None, velocity: Quantity | 
 
 
 def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)
+    return ", ".join(name or "(a column without a name)" for name in names)
 
 
 def _count(found: Sequence[tuple[str, ...]], what: str) -> str:

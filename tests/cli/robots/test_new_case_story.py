@@ -205,6 +205,7 @@ HEAD = "time [s],Kraft [N],Weg [mm]"
         ("time [s],a,Weg [mm]", 1e3, (), ("--force: ", "no column whose name says that it is the force")),
         ("time [s],F1 N,Weg [mm]", 1e3, ("--force", "F2"), ("no column 'F2' of --force",)),
         ("u,Kraft [N],Weg [mm]", 1e3, (), ("--time: ", "--rate HZ")),
+        (",Kraft [N],Weg [mm]", 1e3, (), ("--time: ", "one of (a column without a name), Kraft [N]")),
         ("time [s],Kraft [N],q", 1e3, ("--force", "q", "Kraft [N]"), ("--force: ", "2 columns beside 1")),
         ("time [s],Kraft [N],Weg", 1e3, (), ("--position-unit", "[m], which is the unit only because", "such as mm")),
         ("time [s],Kraft [N],Winkel", 57.3e1, ("--at", "80cm"), ("--position-unit", "turns", "deg for degrees")),

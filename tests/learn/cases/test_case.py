@@ -25,6 +25,7 @@ from oracles.case_files import (
     write_branch,
     write_joint,
 )
+from oracles.oscillator import write_case
 
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
 
@@ -385,3 +386,15 @@ def test_random_damage_never_escapes(data: st.DataObject) -> None:
             load_case(save(Path(folder) / "c", meta))
         except InputError as e:
             assert "\n" not in str(e) and folder in str(e)
+
+
+def test_two_clocks_of_a_joint_say_how_to_join_them(tmp_path: Path) -> None:
+    """Refuse recordings at 200 and 200.8 Hz with what mends it, and read them with it."""
+    folder = write_case(tmp_path / "case", [(0.5, 0.0), (-0.2, 1.0)])
+    rows = np.loadtxt(folder / "run_2.csv", delimiter=",", skiprows=1)
+    rows[:, 0] *= 0.996
+    np.savetxt(folder / "run_2.csv", rows, fmt="%.9g", delimiter=",", header="time_s,angle_rad", comments="")
+    with pytest.raises(InputError, match=r"run_2.csv.*0.00498 s.*other trajectories, or resample_hz: 200 in meta.yaml"):
+        load_case(folder)
+    (folder / "meta.yaml").write_text((folder / "meta.yaml").read_text() + "resample_hz: 200\n")
+    assert load_case(folder).dt == 0.005

@@ -15,7 +15,7 @@ import pytest
 from bough.learn.gap import figures
 from bough.learn.gap.consistent import readable
 from bough.learn.gap.diagnosis import Diagnosis, Gap, Interval, Rival, Settings, Share
-from bough.learn.gap.report import write_diagnosis
+from bough.learn.gap.report import bare, write_diagnosis
 from bough.learn.gap.where import grasp_response, joint_torque, locate, noise_seen, parts_of, phases, regime
 from bough.learn.replay.recording import recordings
 from bough.learn.systems.acting import Acting
@@ -319,3 +319,10 @@ def test_figures_draw_the_numbers_given() -> None:
 def test_units_are_those_that_people_read() -> None:
     """Metres in centimetres, angles in degrees, everything else as it is, spelt out."""
     assert readable("m") == (100.0, "cm") and readable("rad")[1] == "deg" and readable("m_per_s") == (1.0, "m/s")
+
+
+def test_parameters_are_named_without_units() -> None:
+    """Leave the unit out of a name where it stands beside it, and keep two names apart that differ by it alone."""
+    assert bare("dry_friction@0 torque_Nm") == "dry_friction@0 torque" and bare("stiffness limb") == "stiffness limb"
+    assert bare("dry_friction@0 stribeck") == "dry_friction@0 stribeck"
+    assert bare("dry_friction@0 stribeck_radps") == "dry_friction@0 stribeck rate"

@@ -5,12 +5,17 @@ import math
 import numpy as np
 import pytest
 import torch
+import yaml
 from bough.learn.cases.case import load_case
+from bough.learn.gap.diagnose import find_missing
+from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.contest import Contest, activated
 from bough.learn.gap.models.fitted import FittedModels, Model, penalty
 from bough.learn.gap.models.idle import optional, spare
 from bough.learn.gap.models.refit import evaluated, fit
+from bough.learn.gap.run import Run
 from bough.learn.replay.recording import recordings
+from bough.learn.runs.threads import one_thread
 from oracles.branch_case import make_branch_case
 
 SIGMA = np.array([1e-3] * 3 + [1e-2] * 3)
@@ -80,3 +85,43 @@ def test_what_is_read_of_every_recording_is_paid_for_each(contest):
     assert own.price == pytest.approx(3 * price)
     spare(fitted)  # nothing is read of an open gripper here, so it does nothing
     assert model.idle == pytest.approx(3 * price, abs=0.01 * price)
+
+
+def at_steady_speeds(folder, friction, drift, rng):
+    """Write an axis driven at eight nearly steady speeds, whose friction differs a little in every recording."""
+    folder.mkdir()
+    t = np.arange(150) / 25.0
+    for k, w in enumerate((20, -20, 50, -50, 90, -90, 140, -140)):
+        q, v = w * (t - 0.015 * np.cos(2.0 * t + k)), w * (1.0 + 0.03 * np.sin(2.0 * t + k))
+        rubs = friction * (1.0 + drift * rng.standard_normal()) * np.sign(w)
+        torque = 1e-3 * 0.06 * w * np.cos(2.0 * t + k) + 0.012 * v + rubs
+        seen = [t, q + 1e-4 * rng.standard_normal(150), torque + 0.004 * rng.standard_normal(150)]
+        np.savetxt(folder / f"run_{k}.csv", np.stack(seen, -1), fmt="%.9g", delimiter=",", header="t,q,u", comments="")
+    joint = {"name": "axis", "type": "revolute", "inertia": 1e-3, "stiffness": 0.0, "damping": None}
+    (folder / "meta.yaml").write_text(yaml.safe_dump({
+        "format": "joint-gap-case/1", "time_column": "t", "mechanism": {"joints": [joint]},
+        "input": [{"joint": "axis", "column": "u", "scale": 1.0, "hold": "linear"}],
+        "outputs": [{"joint": "axis", "quantity": "position", "column": "q", "scale": 1.0}],
+        "trajectories": [{"file": f"run_{k}.csv", "t_start_s": 10.0 * k} for k in range(8)],
+    }))  # fmt: skip
+    return load_case(folder)
+
+
+@pytest.mark.parametrize("drift", [0.02, 0.06])
+def test_forms_that_follow_one_recording_are_left_out(tmp_path, drift):
+    """Find Coulomb's torque within its interval where it differs by a few percent between recordings.
+
+    A friction that is smaller towards rest fits those better, by more than its price, and none that was left out: with
+    it the torque came out 10 and 32 % too large, nine and twelve deviations off. Shares are shares of all torques, for
+    one recording's are nearly constant.
+    """
+    case = at_steady_speeds(tmp_path / "case", 1.4, drift, np.random.default_rng(1))
+    with one_thread():
+        found = find_missing(case, Run(Settings(("dry_friction",), particles=0)))
+    assert [a.name for a in found.effects] == ["dry_friction"], found.sentence
+    inside = found.parameters["dry_friction@0"]
+    assert set(inside) == {"torque_Nm"}
+    assert found.swing == pytest.approx(np.sqrt(np.mean((1.4 + 0.012 * np.array([20, 50, 90, 140])) ** 2)), rel=0.05)
+    assert inside["torque_Nm"].low < 1.4 < inside["torque_Nm"].high
+    # eight recordings know their mean to drift / sqrt(8); Student's quantile and the damper beside it make it wider
+    assert inside["torque_Nm"].high - inside["torque_Nm"].low < 1.4 * 12.0 * drift / 8**0.5
