@@ -121,7 +121,7 @@ class Whitened:
     w are the coordinates of `inside`, in which no particle leaves its box. A `samplers.choose.Density`, NaN where a
     simulation is not finite. Gradients combine residuals at z with derivatives of the simulation that are recomputed
     only where a particle has moved by `STALE` standard deviations: within that distance they change by about two
-    percent, and each costs a world per parameter.
+    percent, and each costs two worlds per parameter.
 
     Args:
         target: The density.

@@ -39,7 +39,7 @@ class Evaluation:
 class Target:
     """Log posterior and its gradient for P vectors, by one batch of worlds: P x offsets x recordings.
 
-    The simulator's Jacobian is taken by differences to one side; likelihood and prior are differentiated exactly. The
+    The simulator's Jacobian is taken by central differences; likelihood and prior are differentiated exactly. The
     Gaussian likelihood has one inferred noise for each group of channels. The published loss (thesis eq. 3.5, 3.9) is
 
         log p = -(1 / kT) sum over recordings of ||displacement error||_2 + ||velocity error||_2.
@@ -55,7 +55,7 @@ class Target:
             `input_noise`.
     """
 
-    SPACING = 0.002
+    SPACING = 0.01
     LOG_NOISE_SIGMA = 5.0
 
     def __init__(
@@ -152,38 +152,38 @@ class Target:
         return self.rollout(len(theta))(self.values(u), start if self.num_starts else None).double()
 
     def linearise(self, theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return predictions [P, R, T, C] and their derivatives [P, m, R, T, C] by one-sided differences.
+        """Return predictions [P, R, T, C] and their derivatives [P, m, R, T, C] by central differences.
 
-        Nothing is simulated beyond the end of a box. Derivatives keep the simulator's precision: they are large, and
-        far less exact than that.
+        At the end of a box differences are one-sided: nothing is simulated beyond it. Derivatives keep the simulator's
+        precision: they are large, and far less exact than that.
 
         The m directions are the n parameters, then the entries of the start state, each moved in all recordings at
         once: a recording feels its own alone.
         """
         u, start, _ = self.split(theta)
         n, local = self.num_parameters, self.start0[0].numel()
-        us, apart = self._moved(u, n + local)
-        starts = start[:, None].repeat(1, 1 + n + local, *[1] * (start.dim() - 1))
-        for k in range(local):
-            starts[:, 1 + n + k].flatten(2)[..., k] += self.SPACING * self.start_scale
-        flat = self.rollout(us.shape[0] * us.shape[1])(
+        steps = torch.full((n + local,), self.SPACING, dtype=torch.float64, device=self.place)
+        steps[:n] *= self.reach
+        steps[n:] *= self.start_scale
+        offsets = torch.diag(steps)
+        offsets = torch.cat([torch.zeros_like(offsets[:1]), offsets, -offsets])
+        us = self._inside(u, u[:, None] + offsets[:, :n])
+        starts = start[:, None] + offsets[:, n:].reshape(len(offsets), 1, *self.start0.shape[1:])
+        flat = self.rollout(len(theta) * len(offsets))(
             self.values(us.flatten(0, 1)), starts.flatten(0, 1) if local else None
         )
-        out = flat.unflatten(0, us.shape[:2])
-        return out[:, 0].double(), (out[:, 1:] - out[:, :1]) / apart.to(out.dtype)[..., None, None, None]
+        out = flat.unflatten(0, (len(theta), len(offsets)))
+        m = n + local
+        scale = (0.5 / steps).expand(len(u), -1).clone()
+        apart = (us[:, 1 : n + 1] - us[:, m + 1 : m + n + 1]).diagonal(dim1=1, dim2=2)
+        scale[:, :n] = torch.where(self.linear, 1.0 / apart, scale[:, :n])
+        return out[:, 0].double(), (out[:, 1 : m + 1] - out[:, m + 1 :]) * scale.to(out.dtype)[..., None, None, None]
 
-    def _moved(self, u: torch.Tensor, directions: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return points [P, 1 + m, n], each parameter moved in one, and by how much each direction is, [P, m].
-
-        Steps at the upper end of a box that no logarithm bounds go inwards.
-        """
-        n = u.shape[1]
-        step = self.SPACING * self.reach.expand_as(u)
-        step = torch.where(self.linear & (u + step > self.box[1]), -step, step)
-        us = u[:, None].repeat(1, 1 + directions, 1)
-        us[:, 1 : 1 + n] += torch.diag_embed(step)
-        rest = step.new_full((len(u), directions - n), self.SPACING * self.start_scale)
-        return us, torch.cat([step, rest], 1)
+    def _inside(self, u: torch.Tensor, us: torch.Tensor) -> torch.Tensor:
+        """Return points [P, k, n] about u [P, n], none past the end of a box that no logarithm bounds, unless u is."""
+        low, high = (torch.where(self.linear, end, free) for end, free in zip(self.box, (-torch.inf, torch.inf),
+                     strict=True))  # fmt: skip
+        return torch.maximum(torch.minimum(us, torch.maximum(high, u)[:, None]), torch.minimum(low, u)[:, None])
 
     def residual(self, prediction: torch.Tensor) -> torch.Tensor:
         """Return measured minus predicted, zero past a recording's end, [P, R, T, C]."""
@@ -230,7 +230,7 @@ class Target:
         Args:
             theta: Vectors, shape [P, D].
             derivative: Derivatives of the predictions from vectors nearby, as an earlier evaluation returned them; the
-                residuals are always those at theta. None takes them here, which costs m more worlds a vector.
+                residuals are always those at theta. None takes them here, which costs 2 m more worlds a vector.
         """
         if derivative is None:
             prediction, derivative = self.linearise(theta)

@@ -323,9 +323,9 @@ def _cost(found: Findings) -> ReportTable:
         times = ", ".join(f"{1000 * c.seconds:.0f}" for c in costs)
         rows.append((name, sizes, times, 1000 * slope, fit, cost.exponent(costs)))
     note = (
-        "An iteration is one gradient of all particles. Rollouts grow linearly with the number of segments R, 1 + 2 R "
+        "An iteration is one gradient of all particles. Rollouts grow linearly with the number of segments R, 1 + 4 R "
         "for each particle and trajectory, and each rollout takes time in proportion to its links: time grows with R "
-        "faster than linearly, and that is the price of finite differences."
+        "faster than linearly, and that is the price of central differences."
     )
     header = ("grows", "sizes", "time [ms]", "slope [ms]", "R^2 of a line", "power")
     return ReportTable("Cost of an iteration", header, rows, note)

@@ -81,26 +81,6 @@ def test_gradient_agrees_with_float64_reference(case):
     assert np.abs(ours - reference).max() < 0.01 * np.abs(reference).max() + 0.02 * np.abs(reference).mean()
 
 
-def test_derivatives_agree_with_central_differences(case):
-    """Agree to 2 % of their norm with central differences over 1 % either way, of the closed form in float64.
-
-    One side over h = 0.002 is off by h / 2 of the second derivative, which is the first one times half the phase at
-    the end, 9.5 rad; the first-order step by w h / 2 = 0.3 % a radian of it.
-    """
-    target = Target(case, recordings(case), torch.tensor([0.05]))
-    x = np.concatenate([np.log([K, D]), np.array(RUNS).ravel()])
-
-    def at(x):
-        return exact(case, x[:2], x[2:].reshape(2, 2))
-
-    _, derivative = target.linearise(torch.cat([torch.as_tensor(x), target.log_noise0])[None])
-    for k, ours in enumerate(derivative[0, :, :, :, 0].double().numpy()):
-        # a start state's entry is moved in both recordings at once
-        e = 0.01 * sum(np.eye(6)[i] for i in ([k] if k < 2 else [k, k + 2]))
-        wanted = (at(x + e) - at(x - e)) / 0.02
-        assert np.linalg.norm(ours - wanted) < 0.02 * np.linalg.norm(wanted)
-
-
 def test_derivatives_from_nearby_move_the_gradient_little(case):
     """Combine residuals here with derivatives taken a few percent away: off by about their own relative change."""
     target = Target(case, recordings(case), torch.tensor([0.05]))
@@ -140,7 +120,10 @@ def test_modes_are_found_from_far(tmp_path):
 
 
 def test_nothing_is_simulated_past_the_end_of_a_box(tmp_path):
-    """Move a share at either end and in the middle by 0.2 % of half its box, inwards at the upper end."""
+    """Move a share at either end and in the middle by 1 % of half its box at most, and never beyond it.
+
+    Derivatives at the ends are those of a one-sided difference by the same step: they are finite.
+    """
     case = load_case(write_case(tmp_path / "case", [(0.5, 0.0), (-0.3, 1.0)], noise=0.002))
     unknowns = Unknowns(effects=(Acting("dry_friction", 0),))
     target = Target(case, recordings(case), torch.tensor([0.002]), unknowns=unknowns)
@@ -153,6 +136,5 @@ def test_nothing_is_simulated_past_the_end_of_a_box(tmp_path):
     _, derivative = target.linearise(torch.cat([own, rest], 1))
     tried = seen[0].unflatten(0, (3, -1))[..., column]
     assert bool(((tried >= 0.0) & (tried <= 1.0)).all())
-    moved = (tried - own[:, None, column]).sum(1)
-    torch.testing.assert_close(moved, torch.tensor([0.001, 0.001, -0.001]).double(), rtol=0.0, atol=1e-9)
+    torch.testing.assert_close(tried.amax(1) - tried.amin(1), torch.tensor([0.005, 0.01, 0.005]).double())
     assert bool(derivative.isfinite().all()) and float(derivative[:, column].abs().amax()) > 0.0
