@@ -89,6 +89,7 @@ def _needed(fitted: FittedModels, model: Model) -> Model:
 def _paying(fitted: FittedModels, model: Model) -> Model:
     """Return a model without the parameters without which it predicts recordings left out no worse, one by one.
 
+    No worse to one unit of chi-squared, far more than where a fit stops: what does nothing must not stay by rounding.
     One law at many joints keeps its own: they are too many to be tried so.
     """
     contest, groups = fitted.contest, profiles(fitted.contest)
@@ -98,7 +99,7 @@ def _paying(fitted: FittedModels, model: Model) -> Model:
     less = [_without(contest, model, [x]) for x in own]
     left = left_out_chi2(contest, [model, *less], groups).sum(1)
     best = int(left[1:].argmin())
-    return model if left[1 + best] > left[0] else _paying(fitted, less[best])
+    return model if left[1 + best] - left[0] > fitted.overdispersion else _paying(fitted, less[best])
 
 
 def _without(contest: Contest, model: Model, gone: Sequence[Optional]) -> Model:
