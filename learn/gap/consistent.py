@@ -102,9 +102,9 @@ def left_over(found: Diagnosis) -> float:
     return max(fitted, missed(found) if far(found) else 0.0)
 
 
-def of_what(found: Diagnosis) -> str:
-    """Return what shares are shares of, in words: of the motion, or of torques where these are what a model fits."""
-    return "of the torques" if fits_torque(found.case) else "of the motion"
+def what(found: Diagnosis) -> str:
+    """Return what shares are shares of, in words: the motion, or torques where these are what a model fits."""
+    return "the torques" if fits_torque(found.case) else "the motion"
 
 
 def significant(found: Diagnosis) -> bool:
@@ -155,7 +155,7 @@ def _none_but_far(d: Diagnosis) -> str | None:
     """Nothing is missing: then the held-out error is near the noise, or smaller than the tolerance."""
     if d.verdict != "none" or left_over(d) <= d.settings.tolerance:
         return None
-    return (f"{_best(d)}, and yet the base model leaves {percent(left_over(d))} {of_what(d)} beyond the noise,"
+    return (f"{_best(d)}, and yet the base model leaves {percent(left_over(d))} of {what(d)} beyond the noise,"
             f" above the tolerance of {percent(d.settings.tolerance)} ({error_name(d)}"
             f" {_times(d.gap.base, d.gap.noise_floor)} the noise floor)")  # fmt: skip
 
@@ -313,13 +313,13 @@ def _none(d: Diagnosis) -> str:
     numbers = f"{error_name(d)} {_gap(d, d.gap.base)}, noise floor {d.gap.noise_floor:.3g}{_beside(d)}"
     if not significant(d) and not far(d):
         return f"No missing effect is detectable in these data: {numbers}."
-    nothing = f"Nothing larger than the tolerance of {percent(d.settings.tolerance)} {of_what(d)} is missing"
+    nothing = f"Nothing larger than the tolerance of {percent(d.settings.tolerance)} of {what(d)} is missing"
     if d.p_null <= ALARM and d.size >= d.settings.tolerance:
         nothing = f"Nothing larger than the noise is missing (reduced chi-squared {d.base_reduced_chi2:.3g})"
     if d.p_null <= ALARM:
-        best = f"the best candidate changes {of_what(d)[3:]} by {percent(d.size)} (p = {d.p_null:.1g}; {numbers})"
+        best = f"the best candidate changes {what(d)} by {percent(d.size)} (p = {d.p_null:.1g}; {numbers})"
         return f"{nothing}: {best}."
-    return f"{nothing}: {numbers}, a misfit of {percent(left_over(d))} {of_what(d)}."
+    return f"{nothing}: {numbers}, a misfit of {percent(left_over(d))} of {what(d)}."
 
 
 def _beside(d: Diagnosis) -> str:
@@ -356,7 +356,7 @@ def _unknown(d: Diagnosis) -> str:
 def _effects(d: Diagnosis) -> str:
     left = ""
     if d.gap.repaired > FAR * max(d.gap.noise_floor, d.scatter or 0.0):
-        left = f"; what is left, {percent(d.gap.repaired / max(d.swing, 1e-300))} {of_what(d)}, is not explained"
+        left = f"; what is left, {percent(d.gap.repaired / max(d.swing, 1e-300))} of {what(d)}, is not explained"
     adding = "adding it" if len(d.effects) == 1 else "adding them"
     if d.ahead and not shrinks(d):
         return (f"The model lacks {_named(d)}: {adding} predicts experiments left out better, beside geometry and"

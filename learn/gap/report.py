@@ -24,7 +24,7 @@ from ..reports.figures import MODEL
 from ..reports.motion import ReportMotion
 from ..reports.page import KeyNumber, ParameterRow, ReportContent, ReportFigure, ReportTable, number, write_report
 from ..systems.model_file import BranchModel, write_model
-from .consistent import error_name, far, grows, missed, of_what, percent, plain, readable, share, significant
+from .consistent import error_name, far, grows, missed, percent, plain, readable, share, significant, what
 from .decide import TIED
 from .diagnosis import Diagnosis, Rival, Share, together
 from .evidence import ALARM
@@ -143,7 +143,7 @@ def _gap(d: Diagnosis) -> list[KeyNumber]:
         name, of = "RMSE", " In the only recording, to which the model was fitted: nothing is held out."
     shown = [
         KeyNumber(f"{name}, base model", scale * d.gap.base, unit,
-                  f"Springs and dampers alone.{of} {percent(missed(d))} {of_what(d)} beyond the noise."),
+                  f"Springs and dampers alone.{of} {percent(missed(d))} of {what(d)} beyond the noise."),
         KeyNumber(f"{name}, {BEST}", scale * d.gap.repaired, unit, _repaired(d)),
         KeyNumber("Noise floor", scale * d.gap.noise_floor, unit, _floor(d)),
     ]  # fmt: skip
@@ -300,7 +300,7 @@ def _ranked(d: Diagnosis) -> list[Rival]:
 def _details(d: Diagnosis) -> dict[str, object]:
     return {
         "candidate effects": ", ".join(d.settings.effects) or "all that the case can show",
-        "tolerance": f"{d.settings.tolerance:g} of the rms {of_what(d)}",
+        "tolerance": f"{d.settings.tolerance:g} of the rms of {what(d)}",
         "most effects together": d.settings.max_effects,
         "seed": d.settings.seed,
         **(

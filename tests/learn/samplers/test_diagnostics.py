@@ -128,25 +128,24 @@ def test_particles_converge_unless_cut_short(dims, count):
     assert "Stein identity, spread" in bad.reason
 
 
-def two_modes(apart):
-    """Log density of two normals with deviations one and three, ``apart`` from each other in both coordinates."""
+def two_modes(apart, width=3.0):
+    """Log density of two normals with deviations one and ``width``, ``apart`` from each other in both coordinates."""
 
     def log_density(x):
-        second = -0.5 * ((x - apart) ** 2).sum(1) / 9.0 - 2.0 * math.log(3.0)
+        second = -0.5 * ((x - apart) ** 2).sum(1) / width**2 - 2.0 * math.log(width)
         return torch.logaddexp(-0.5 * (x**2).sum(1), second)
 
     return AutogradDensity(log_density)
 
 
-@pytest.mark.parametrize("apart", [7.0, 60.0, 1000.0])
-def test_modes_at_rest_are_converged(apart):
-    """Pass particles at rest in two modes of other width, however far they are apart."""
+@pytest.mark.parametrize(("apart", "width", "count"), [(7.0, 1.0, 2), (7.0, 3.0, 1), (60.0, 3.0, 2), (1000.0, 3.0, 2)])
+def test_modes_at_rest_are_converged(apart, width, count):
+    """Pass particles at rest in two modes of one width or two, however far they are apart; one where they touch."""
     x = draws(100, 2)
-    x[::2] = 3.0 * x[::2] + apart
-    verdict = judge(sample(two_modes(apart), x, iterations=100))
+    x[::2] = width * x[::2] + apart
+    verdict = judge(sample(two_modes(apart, width), x, iterations=100))
     assert verdict.converged, verdict.reason
-    # modes that nearly touch are one: it would be no use to say that they are two
-    assert verdict.numbers["modes"] == (1 if apart < 10.0 else 2)
+    assert verdict.numbers["modes"] == count
 
 
 @pytest.mark.parametrize("wrong", [0.5, 1.6])
