@@ -63,6 +63,11 @@ LEAST_LAG = wp.constant(wp.float64(1.0e-3))
 #: Steps that seek rest under a load, each Newton's with 5/4 of the joints' stiffness, and their length [s].
 SETTLING = 16
 SETTLING_STEP = wp.constant(wp.float64(1.0))
+#: Of these steps those that find rest before what laws remember goes on, the share of the time between two recordings
+#: by which it does in each of the others, and the least such time [s]: a law may divide by it.
+FIRST = SETTLING // 2
+LAPSE = wp.constant(wp.float64(1.0 / (SETTLING - FIRST)))
+LEAST_LAPSE = wp.constant(wp.float64(1.0e-6))
 
 
 @wp.struct
@@ -206,15 +211,21 @@ def hold_tip(e: int, row: int, slot: int, m: Any, fx: Any, s: Any):
 @wp.func
 def settle(
     e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, time: wp.float64, bound: wp.float64, still: int,
-    advance: wp.Function,
+    rested: wp.float64, advance: wp.Function,
 ):  # fmt: skip
-    """Let the worlds marked in ``settle`` come to rest under what acts; the others go to their springs' rest."""
-    for _ in range(SETTLING):
+    """Let the worlds marked in ``settle`` come to rest under what acts; the others go to their springs' rest.
+
+    What laws remember goes on by the time ``rested`` [s] once they rest.
+    """
+    for n in range(SETTLING):
+        lapse = LEAST_LAPSE
+        if n >= FIRST:
+            lapse = wp.max(rested * LAPSE, LEAST_LAPSE)
         for i in range(1, m.count[e] + 1):
             v = x.velocity[e, i]
             o = real(0.0, v.x)
             x.velocity[e, i] = type(v)(o, o, o)
-        advance(e, row, m, x, u, fx, s, SETTLING_STEP, time, bound, still)
+        advance(e, row, m, x, u, fx, s, SETTLING_STEP, time, bound, still, lapse)
     mark = fx.settle[e]
     for i in range(1, m.count[e] + 1):
         v = x.velocity[e, i]
@@ -241,14 +252,15 @@ def way_to(off: Any, gone: Any):
 @wp.func
 def set_out(
     e: int, row: int, j: int, place: int, is_first: bool, at: Slots, m: Any, x: Any, u: Any, fx: Any, s: Any,
-    grip: wp.array2d(dtype=wp.float64), nominal: Any, time: wp.float64, bound: wp.float64, advance: wp.Function,
-    hold: wp.Function,
+    grip: wp.array2d(dtype=wp.float64), nominal: Any, time: wp.float64, rested: wp.float64, bound: wp.float64,
+    advance: wp.Function, hold: wp.Function,
 ):  # fmt: skip
     """Bring the worlds to where recording j begins; return the point that displacement counts from, and the calm pose.
 
     Worlds that are blown come to rest under the wind; displacement is counted from the calm pose all the same, that of
-    the whole branch where a memory lasts. Other worlds begin where laws hold them (`held`): at the place `OFF` from
-    there, where the recording tells one, else where the memory leaves them.
+    the whole branch where a memory lasts, which went on for the time ``rested`` [s] since the recording before. Other
+    worlds begin where laws hold them (`held`): at the place `OFF` from there, where the recording tells one, else where
+    the memory leaves them.
     """
     o = real(0.0, nominal.x)
     lasting = fx.active[e, at.lasting]
@@ -262,7 +274,7 @@ def set_out(
         if is_first:
             hold_tip(e, row, at.tip, m, fx, s)
     if lasting == 1:  # find the calm pose after the damage so far
-        settle(e, row, m, x, u, fx, s, time, bound, CALM, advance)
+        settle(e, row, m, x, u, fx, s, time, bound, CALM, rested, advance)
         locate_links(e, row, m, x, s)
     here = s.accel[row, place] + rotate(s.pose[row, place], nominal)
     start = type(here)(here.x, here.y, here.z)
@@ -270,7 +282,7 @@ def set_out(
         start = grip_of(grip, j, GIVEN, nominal)
     calm = s.pose[row, place]
     if fx.active[e, at.resting] == 1:
-        settle(e, row, m, x, u, fx, s, time, bound, STILL, advance)
+        settle(e, row, m, x, u, fx, s, time, bound, STILL, LEAST_LAPSE, advance)
         locate_links(e, row, m, x, s)
     if fx.active[e, at.holding] == 1:
         hold(e, row, place, here, way_to(grip_of(grip, j, OFF, nominal), here - start), m, x, fx, s)
@@ -319,7 +331,7 @@ def replay_samples(
                         far = slid(e, at, fx, force, axis, grip, j, real(h, nominal.x))
                         u.point[e, place] = add_scaled(nominal, along, far)
                 since = wp.float64(k * substeps + step) * h
-                advance(e, row, m, x, u, fx, s, h, begin + since, bound, MOVING)
+                advance(e, row, m, x, u, fx, s, h, begin + since, bound, MOVING, h)
 
 
 @wp.func
@@ -358,7 +370,7 @@ def replay_joints(
             drive(e, row, delay, u, fx, s, driven, input_in, now, n, rate, like, law)
             since = wp.float64(k * substeps + step) * h
             look_ahead(e, m, x)
-            advance(e, row, m, x, u, fx, s, h, begin + since, bound, MOVING)
+            advance(e, row, m, x, u, fx, s, h, begin + since, bound, MOVING, h)
             if step == 0:
                 write_gains(e, k, watched, x, h, output_out)
 
@@ -412,8 +424,11 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
             forget(e, kept, BETWEEN, m, fx)
             fade(e, m, fx)
             nominal = grip_of(grip, j, GRASP, m.offset[e, 1])
+            rested = wp.float64(0.0)
+            if j > first_of[e]:
+                rested = begins[j] - begins[j - 1] - h * wp.float64((length[j - 1] - 1) * substeps)
             start, calm = set_out(e, r, j, place, j == first_of[e], at, m, x_in_out, u_out, fx, s_out, grip, nominal,
-                                  begins[j], bound, advance, hold)  # fmt: skip
+                                  begins[j], rested, bound, advance, hold)  # fmt: skip
             zero = nominal - nominal
             opened = grip_of(grip, j, OPENED, nominal)
             heading = grip_of(grip, j, HEADING, nominal)

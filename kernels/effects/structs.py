@@ -59,6 +59,15 @@ def law_types(width: int, precision: int) -> SimpleNamespace:
         damping: Real
 
     @wp.struct
+    class Responses:
+        """What all laws answer together; ``follows``: of their stiffness what pulls back at rest as well."""
+
+        torque: Vec
+        stiffness: Real
+        damping: Real
+        follows: Real
+
+    @wp.struct
     class LongResponse:
         """A response with two memories."""
 
@@ -68,8 +77,8 @@ def law_types(width: int, precision: int) -> SimpleNamespace:
         stiffness: Real
         damping: Real
 
-    return SimpleNamespace(Parameters=Parameters, JointState=JointState, Response=Response, LongResponse=LongResponse,
-                           **vars(_outer_law_types(Real, Vec, Quat)))  # fmt: skip
+    return SimpleNamespace(Parameters=Parameters, JointState=JointState, Response=Response, Responses=Responses,
+                           LongResponse=LongResponse, **vars(_outer_law_types(Real, Vec, Quat)))  # fmt: skip
 
 
 def _outer_law_types(Real: Any, Vec: Any, Quat: Any) -> SimpleNamespace:

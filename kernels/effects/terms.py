@@ -98,6 +98,7 @@ class Term(NamedTuple):
         strains: Device function as of kind ``joint`` of what a law of another kind does at joints as well, without a
             memory; None where it does nothing there.
         fades: Which of its parameters is the share of its memory that outlasts a recording; -1 where all of it does.
+        follows: Whether its torque follows the joint's angle at rest, by its stiffness.
     """
 
     name: str
@@ -111,6 +112,7 @@ class Term(NamedTuple):
     precedes: bool = False
     strains: Any = None
     fades: int = -1
+    follows: bool = False
 
     @property
     def at_joint(self) -> Any:
@@ -171,6 +173,7 @@ def reader(term: Term, types: SimpleNamespace, key: str) -> Any:
 def _add_joint(term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
     """Device function that adds a law's response at a joint to that of those before it."""
     read, law, memory, LongResponse = reader(term, types, key), term.at_joint, term.memory, types.LongResponse
+    follows = term.follows
 
     def add_own(e: int, i: int, fx: Any, j: Any, r: Any, sofar: Any):
         """Return ``sofar`` plus the law's torque, stiffness and damping at joint i, and write its new memory."""
@@ -186,8 +189,11 @@ def _add_joint(term: Term, types: SimpleNamespace, key: str, row: int) -> Any:
             own = law(j, p, long)
             fx.memory[e, k] = own.memory
             fx.memory[e, k + fx.stride] = own.second
-        return type(r)(
-            sofar.torque + own.torque, sofar.memory, sofar.stiffness + own.stiffness, sofar.damping + own.damping
+        back = sofar.follows
+        if wp.static(follows):
+            back = back + own.stiffness
+        return type(sofar)(
+            sofar.torque + own.torque, sofar.stiffness + own.stiffness, sofar.damping + own.damping, back
         )
 
     return function_of(add_own, term, f"add{key}")
@@ -247,13 +253,13 @@ def laws_of(kind: str, terms: tuple[Term, ...], types: SimpleNamespace, key: str
         adds = [_add_joint(term, types, key, memory_row(terms, term.slot)) for term in own]
     else:
         adds = [{"link": _add_link, "force": _add_force}[kind](term, types, key) for term in own]
-    named = named_all(adds, f"{key}_{kind}")
+    named, Responses = named_all(adds, f"{key}_{kind}"), types.Responses
 
     def joint(e: int, i: int, fx: Any, j: Any, r: Any):
         """Return ``r`` plus torque, stiffness and damping of all active laws at joint i."""
         if wp.static(False):
             named(r)
-        sofar = type(r)(r.torque, r.memory, r.stiffness, r.damping)
+        sofar = Responses(r.torque, r.stiffness, r.damping, r.stiffness - r.stiffness)
         for n in range(wp.static(count)):
             for _ in range(fx.active[e, wp.static(slots[n])]):
                 sofar = wp.static(adds[n])(e, i, fx, j, r, sofar)
@@ -403,7 +409,7 @@ def aside(e: int, i: int, slot: int, fx: Any, like: Any):
 @wp.func
 def act(
     e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, still: int,
-    at: Present, strain: wp.Function, strips: wp.Function,
+    lapse: wp.float64, at: Present, strain: wp.Function, strips: wp.Function,
 ):  # fmt: skip
     """Evaluate the laws of joints and links at the present state; seek rest unless ``still`` is MOVING."""
     for i in range(1, m.count[e] + 1):
@@ -415,12 +421,14 @@ def act(
             total = total + held_at(e, i, m, x, fx.hold[e, i])
         stiffness = m.stiffness[e, i]
         damping = fx.damping[e, i]
+        back = stiffness
         if is_on(e, at.joint, fx):
-            r = strain(e, i, m, x, u.effort[e, i], fx, h, real(time, o))
+            r = strain(e, i, m, x, u.effort[e, i], fx, lapse, real(time, o))
             total = total + r.torque
             damping = effective_damping(m.kind[e, i], damping, stiffness, r.stiffness, r.damping, h)
+            back = stiffness + r.follows
         if still != MOVING:
-            damping = stiffness * real(h * wp.float64(1.25), o)
+            damping = back * real(h * wp.float64(1.25), o)
         m.damping[e, i] = damping
         fx.effort[e, i] = total
         if at.link >= 0:
@@ -471,13 +479,16 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
 
     def advance(
         e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, bound: wp.float64,
-        still: int,
+        still: int, lapse: wp.float64,
     ):  # fmt: skip
-        """Take one semi-implicit step of length h [s] at an absolute time [s], all terms included."""
+        """Take one semi-implicit step of length h [s] at an absolute time [s], all terms included.
+
+        Of a step that seeks rest h is no time: what laws remember goes on by ``lapse`` [s], h in one that moves.
+        """
         at = Present(at_joint, at_link, tip)
         place_root(e, row, m, s)
         place_links(e, row, m, x, s)
-        act(e, row, m, x, u, fx, s, h, time, still, at, strain, strips)
+        act(e, row, m, x, u, fx, s, h, time, still, lapse, at, strain, strips)
         fold(e, row, m, x, u, fx, s, h, at)
         advance_links(e, row, m, x, s, h, bound)
         x.tick[e] = x.tick[e] + 1

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 
 import torch
 
+from ..cases.case import BranchCase
 from ..replay.input_noise import Colour
 from .evidence import ALARM, Evidence, bootstrap_test, lacks_fit, retested
 from .geometry import in_doubt
@@ -213,9 +214,14 @@ def _add_effects(fitted: FittedModels, run: Run) -> None:
 
 
 def _begin_leaders_again(fitted: FittedModels, size: int) -> None:
-    """Fit the leading models of a size again where the best leaves more than noise."""
+    """Fit the leading models of a size again where the best leaves more than noise, and at joints where any does.
+
+    In a narrow curved valley a fit ends where its steps run out: which of two names was ahead was then decided by the
+    last digits of the data.
+    """
     leaders = fitted.of_size(size)[:LEADERS]
-    if leaders and fitted.needs_more(leaders[0]):
+    at_joints = not isinstance(fitted.contest.case, BranchCase)
+    if leaders and (at_joints or fitted.needs_more(leaders[0])):
         begun_again(fitted.contest, leaders)
 
 

@@ -23,6 +23,7 @@ from .evidence import bootstrap_test
 from .models.at_rest import Noise
 from .models.contest import Batch, Contest
 from .models.fitted import FittedModels, Model
+from .models.levels import begun_again
 from .models.refit import fit
 from .prepare import Base
 from .run import Run
@@ -194,12 +195,13 @@ def _again(
 
 
 def _settled(contest: Contest, models: list[Model], own: set[int]) -> list[Model]:
-    """Return models of which those that hold one of ``own`` were fitted until no step betters them."""
+    """Return models of which those that hold one of ``own`` were fitted until no step betters them, and begun again."""
     held = [k for k, m in enumerate(models) if own & set(m.members)]
     if not held:
         return models
     fits = fit(contest, Batch.joined([models[k].fit.batch for k in held]), ENOUGH)
     done = {k: replace(models[k], fit=fits.one(s)) for s, k in enumerate(held)}
+    begun_again(contest, [*done.values()])
     return [done.get(k, m) for k, m in enumerate(models)]
 
 

@@ -169,6 +169,7 @@ class Law:
             have either sign if the first is one of them, else the first alone.
         keeps: Name of the parameter that is the share of a persistent memory which outlasts a recording; empty where
             all of it does.
+        follows: Whether the torque at a joint follows its angle at rest, by the stiffness that the law returns.
     """
 
     kind: Kind
@@ -187,6 +188,7 @@ class Law:
     moment: str = ""
     strengths: tuple[str, ...] = ()
     keeps: str = ""
+    follows: bool = False
 
 
 @dataclass(frozen=True)
@@ -312,6 +314,8 @@ def terms_of(names: tuple[str, ...], form: Form) -> tuple[Term, ...]:
 
 
 def _term(name: str, slot: int, law: Law) -> Term:
-    lasting = law.memory, law.persistent
     fades = [p.name for p in law.parameters].index(law.keeps) if law.keeps else -1
-    return Term(name, law.kind, law.law, slot, law.per_joint, *lasting, law.holds, law.precedes, law.strains, fades)
+    return Term(
+        name, law.kind, law.law, slot, law.per_joint, law.memory, law.persistent, law.holds, law.precedes, law.strains,
+        fades, law.follows,
+    )  # fmt: skip

@@ -7,7 +7,7 @@ import warp as wp
 
 from ...kernels.lanes.algebra import add, div, mul, sub
 from ...kernels.lanes.real import real, where_neg
-from .registry import Effect, EffectParameter, Law, register
+from .registry import Effect, EffectParameter, Law, kept_share, register
 
 
 @wp.func
@@ -34,14 +34,34 @@ def viscoelastic_sls(j: Any, p: Any, r: Any):
 
 
 @wp.func
+def flowed(j: Any, relaxation: Any, b: Any):
+    """db/dt = (phi - b) / T: how far the damper of an element has flowed; the new b.
+
+    Trapezoidal rule, phi known in the middle of steps; b is phi after a step of 2 T, as there are between recordings.
+    Without a relaxation time (T = 0, where the effect is off) T is one.
+    """
+    o = real(0.0, relaxation)
+    one = real(1.0, o)
+    T = relaxation + where_neg(relaxation - real(1.0e-9, o), one, o)
+    half = real(0.5, o) * j.step / T
+    half = where_neg(one - half, one, half)
+    return (b * (one - half) + j.angle * (half + half)) * (one / (one + half))
+
+
+@wp.func
 def viscoelastic_of_two(j: Any, p: Any, r: Any):
-    """Two Maxwell elements beside the joint's spring."""
+    """tau = -a K (phi - b) - c K (phi - d): two Maxwell elements beside the spring, whose dampers have flowed by b, d.
+
+    Both are taken in the middle of a step.
+    """
     o = real(0.0, p.a)
-    first = creep(j, p.a, p.b, r.memory)
-    second = creep(j, p.c, p.d, r.second)
+    half = real(0.5, o)
+    first = flowed(j, p.b, r.memory)
+    second = flowed(j, p.d, r.second)
     k = p.a * j.stiffness
     more = p.c * j.stiffness
-    return type(r)(first * (o - k) - second * more, first, second, k + more, o)
+    gone = (first + r.memory) * (half * k) + (second + r.second) * (half * more)
+    return type(r)(gone - j.angle * (k + more), first, second, k + more, o)
 
 
 _SHARE = EffectParameter("share", "1", 0.02, 3.0, scale="log", typical=0.3, tries=1)
@@ -57,7 +77,8 @@ EFFECT = register(
         name="viscoelastic_sls",
         plain="creep (it goes on giving way while it is held)",
         summary="a spring a K in series with a damper, beside the joint's spring: the joint creeps under a held force;"
-        " in a branch there may be two such, each with its own relaxation time",
+        " in a branch there may be two such, each with its own relaxation time, and the next recording begins with the"
+        " share k of what they flowed, less what comes back in the time between",
         source="Zener 1948; Wiechert 1893 (several Maxwell elements); Findley, Lai & Onaran, Creep and Relaxation"
         " (1976), section 5.4",
         signature="displacement goes on growing in a hold and comes back slowly after the release",
@@ -65,10 +86,19 @@ EFFECT = register(
         probe="a long hold and a long wait after it; the same push fast and slow",
         branch=Law(
             "joint",
-            (replace(_SHARE, high=10.0), _RELAXATION, _SECOND_SHARE, _SECOND),
+            (
+                replace(_SHARE, high=30.0),
+                replace(_RELAXATION, high=lambda s: 5.0 * s.duration),
+                replace(_SECOND_SHARE, high=30.0),
+                _SECOND,
+                kept_share(0.0),
+            ),
             viscoelastic_of_two,
             memory=2,
+            persistent=True,
             strengths=("share", "second_share"),
+            keeps="kept",
+            follows=True,
         ),
         joint=Law("joint", (_SHARE, _RELAXATION), viscoelastic_sls, memory=1),
     )

@@ -59,7 +59,7 @@ def test_one_kernel_serves_any_choice_of_effects():
     """Build a replay with all effects that can act, whatever acts; its neutral values are all of them."""
     setting = Setting(torque=1.0, angle=1.0, rate=1.0, force=1.0)
     one = ActingSet([Acting("dry_friction", 0)], "branch", [setting])
-    two = ActingSet([Acting("quadratic_drag"), Acting("viscoelastic_sls", 0)], "branch", [setting])
+    two = ActingSet([Acting("quadratic_drag"), Acting("cubic_stiffness", 0)], "branch", [setting])
     assert one.names == two.names == tuple(e.name for e in effects() if e.branch is not None)
     assert effect_rollout_kernels(16, 32, terms_of(one.names, "branch")) is effect_rollout_kernels(
         16, 32, terms_of(two.names, "branch")

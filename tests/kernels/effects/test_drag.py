@@ -17,38 +17,43 @@ C, AREA, CROWN = 3.0, 0.02, 0.07
 @wp.kernel(module="unique")
 def drag(
     velocity_in: wp.array(dtype=wp.vec3), arm_in: wp.array(dtype=wp.vec3), turn_in: wp.array(dtype=wp.vec4),
-    m: float, s: float, k: float, force_out: wp.array(dtype=wp.vec3),
+    m: float, s: float, k: float, linear: float, force_out: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
-    """Write the force on every piece, of the shares m (across), s (axis by axis) and k (crown)."""
+    """Write the force on every piece, of the shares m (across), s (axis by axis) and k (crown), and the speed l."""
     n = wp.tid()
     v, d, q = velocity_in[n], arm_in[n], turn_in[n]
     b = LinkState(Vec(v[0], v[1], v[2]), Vec(d[0], d[1], d[2]), Quat(q[0], q[1], q[2], q[3]), AREA, CROWN, 0.0)
-    f = LAW(b, Parameters(C, m, s, k, 0.0, 0.0, 0.0, 0.0, 0.0))
+    f = LAW(b, Parameters(C, m, s, k, linear, 0.0, 0.0, 0.0, 0.0))
     force_out[n] = wp.vec3(f.x, f.y, f.z)
 
 
-def forces(velocity, turn, m, s, k=0.0):
+def forces(velocity, turn, m, s, k=0.0, linear=0.0):
     """Return the forces [N, 3] on pieces whose segments point along their own z axis."""
     quaternion = np.roll(turn.as_quat(), 1, axis=1)  # real part first, as the kernels have it
     given = [wp.array(x, dtype=d, device="cpu") for x, d in
              ((velocity, wp.vec3), (turn.apply([0.0, 0.0, 0.3]), wp.vec3), (quaternion, wp.vec4))]  # fmt: skip
     out = wp.full(len(velocity), wp.vec3(np.nan, np.nan, np.nan), dtype=wp.vec3, device="cpu")
-    wp.launch(drag, dim=len(velocity), inputs=[*given, m, s, k], outputs=[out], device="cpu")
+    wp.launch(drag, dim=len(velocity), inputs=[*given, m, s, k, linear], outputs=[out], device="cpu")
     return out.numpy()
 
 
-@pytest.mark.parametrize(("m", "s", "k"), [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.6, 0.3, 0), (0.6, 0.3, 0.4), (0, 0, 1)])
-def test_force_is_the_formula(m, s, k):
-    """Give -c A ((1 - s) |u| u + s (|u_k| u_k)), u = v less the share m of what is along the segment.
+@pytest.mark.parametrize(
+    ("m", "s", "k", "linear"),
+    [(0, 0, 0, 0), (1, 0, 0, 0), (0, 1, 0, 0), (0.6, 0.3, 0, 0), (0.6, 0.3, 0.4, 0.7), (0, 0, 1, 0), (0.6, 0, 0, 0.5)],
+)
+def test_force_is_the_formula(m, s, k, linear):
+    """Give -c A ((1 - s) |u| u + s (|u_k| u_k) + l u), u = v less the share m of what is along the segment.
 
     A is the piece's own area, in the share k the crown's.
     """
     rng = np.random.default_rng(0)
     velocity, turn = rng.normal(size=(200, 3)), Rotation.random(200, random_state=1)
     u = turn.inv().apply(velocity) * [1.0, 1.0, 1.0 - m]
-    own = (1 - s) * np.linalg.norm(u, axis=1, keepdims=True) * u + s * np.abs(u) * u
+    own = ((1 - s) * np.linalg.norm(u, axis=1, keepdims=True) + linear) * u + s * np.abs(u) * u
     wanted = -C * ((1 - k) * AREA + k * CROWN) * turn.apply(own)
-    np.testing.assert_allclose(forces(velocity, turn, m, s, k), wanted, atol=2e-6 * np.abs(wanted).max())  # float32
+    np.testing.assert_allclose(
+        forces(velocity, turn, m, s, k, linear), wanted, atol=2e-6 * np.abs(wanted).max()
+    )  # float32
 
 
 def test_motion_along_a_segment_is_free_where_only_the_flow_across_counts():

@@ -78,3 +78,17 @@ def test_a_warming_sensor_reads_ever_more(tmp_path):
     reach = np.abs(stick(true)).max(axis=(0, 1))
     assert (np.abs(out - stick(true)).max(axis=(0, 1)) < 0.013 * abs(c) * reach).all()
     assert np.abs(stick(read, force_scale={"scale": s}) - stick(true)).max() > 0.1 * reach[:3].max()
+
+
+@pytest.mark.parametrize("curved", [0.06, -0.02])
+def test_a_curved_sensor_is_read_back(tmp_path, curved):
+    """Rest under the force of a reading F (1 + q |F|), gains of axes taken off first: the root in single precision."""
+    gains = np.array([1.3 / (0.9 * 1.1), 1.3 * 0.9, 1.3 * 1.1])
+    true = stick_case(tmp_path / "a", [held()])
+    size = np.linalg.norm(held(), axis=1, keepdims=True)
+    assert abs(curved) * size.max() > 0.05
+    read = stick_case(tmp_path / "b", [gains * held() * (1.0 + curved * size)])
+    law = {"scale": 1.3, "relative_y": 0.9, "relative_z": 1.1, "curved_pN": curved}
+    wanted = settled(stick(true)[0])
+    np.testing.assert_allclose(settled(stick(read, force_scale=law)[0]), wanted, atol=2e-5 * np.abs(wanted).max())
+    assert np.abs(settled(stick(read, force_scale=law | {"curved_pN": 0.0})[0]) - wanted).max() > 1e-3

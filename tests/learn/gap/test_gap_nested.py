@@ -150,7 +150,7 @@ def test_what_switches_an_effect_on(small):
     by_name = {c.name: c for c in small.candidates}
     names = {n: [small.parameters[k].name.split()[-1] for k in switches(small, c)] for n, c in by_name.items()}
     assert names == {"dry_friction": ["torque_Nm"], "cubic_stiffness": ["cubic_radm2"],
-                     "force_scale": ["scale", "relative_y", "relative_z", "cold"],
+                     "force_scale": ["scale", "relative_y", "relative_z", "cold", "curved_pN"],
                      "force_bias": ["force_x_N", "force_y_N", "force_z_N", "opened"]}  # fmt: skip
 
 
