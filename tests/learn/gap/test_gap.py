@@ -228,7 +228,7 @@ def test_a_probe_narrows_an_interval_as_a_kalman_update_does(small):
     batch = activated(contest, base.batch, [[place]])
     column = contest.candidates[place].columns[0]
     batch.free[0, column] = 0.5 * float(contest.low[column] + contest.high[column])
-    batch.active[0, contest.candidates[place].columns[-1]] = False  # a sensor known to be straight: the swing tells more
+    batch.active[0, contest.candidates[place].columns[-1]] = False  # it is straight: the swing tells more of the gain
     model, probes = Model((place,), evaluated(contest, batch)), PROBES.everything()
     still, swing = narrowing(contest, model, [probes["still"], probes["full_swing_in"]])
     assert still == pytest.approx(1.0, abs=1e-6)
