@@ -32,6 +32,8 @@ from .search import Searched
 #: Models that are fitted again, and the most steps of it; of those that hold a name of the decision, which is not taken
 #: back because a law of many parameters comes near its best fit slowly.
 LEADING, STEPS, ENOUGH = 10, 12, 200
+#: Places about a model from which it is fitted as well, and how far from it they are, as a share of the reach.
+SCATTERED, APART = 5, 0.3
 #: Other cut-offs of the filter, relative to the case's own.
 CUTOFFS = (0.5, 1.6)
 #: Largest deviation of a skipped sample from the middle of its neighbours, relative to the channel's rms, at which half
@@ -195,14 +197,27 @@ def _again(
 
 
 def _settled(contest: Contest, models: list[Model], own: set[int]) -> list[Model]:
-    """Return models of which those that hold one of ``own`` were fitted until no step betters them, and begun again."""
+    """Return models of which those that hold one of ``own`` were fitted until no step betters them, and begun again.
+
+    Each from where it is and from `SCATTERED` places about it, of which the best counts: of a loop whose slider yields
+    at once, valleys lie side by side, and which one a fit ran into was decided by the last digits of the data.
+    """
     held = [k for k, m in enumerate(models) if own & set(m.members)]
     if not held:
         return models
-    fits = fit(contest, Batch.joined([models[k].fit.batch for k in held]), ENOUGH)
-    done = {k: replace(models[k], fit=fits.one(s)) for s, k in enumerate(held)}
+    done = {k: _best_of(contest, models[k]) for k in held}
     begun_again(contest, [*done.values()])
     return [done.get(k, m) for k, m in enumerate(models)]
+
+
+def _best_of(contest: Contest, model: Model) -> Model:
+    """Return a model fitted from its place and from others about it, the best of them."""
+    batch = Batch.joined([model.fit.batch] * (1 + SCATTERED))
+    apart = np.random.default_rng(0).standard_normal((SCATTERED, batch.free.shape[1]))
+    shift = torch.as_tensor(apart).to(batch.free) * APART * contest.reach
+    batch.free[1:] = (batch.free[1:] + torch.where(batch.active[1:], shift, 0.0)).clamp(contest.low, contest.high)
+    fits = fit(contest, batch, ENOUGH)
+    return replace(model, fit=fits.one(int(fits.cost.argmin())))
 
 
 def _contest(first: Contest, variant: Variant, base: Batch) -> Contest:
