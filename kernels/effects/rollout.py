@@ -61,12 +61,13 @@ SEEN = wp.constant(5)
 LEAST_LAG = wp.constant(wp.float64(1.0e-3))
 
 #: Steps that seek rest under a load, each Newton's with 5/4 of the joints' stiffness, and their length [s].
-SETTLING = 16
+SETTLING = 24
 SETTLING_STEP = wp.constant(wp.float64(1.0))
-#: Of these steps those that find rest before what laws remember goes on, the share of the time between two recordings
-#: by which it does in each of the others, and the least such time [s]: a law may divide by it.
-FIRST = SETTLING // 2
-LAPSE = wp.constant(wp.float64(1.0 / (SETTLING - FIRST)))
+#: Of these steps those that find rest before what laws remember goes on; the share of the time between two recordings
+#: by which it does in the next one; how much longer each after it is; and the least such time [s], as laws divide by it.
+FIRST = 8
+LONGER = wp.constant(wp.float64(1.25))
+LAPSE = wp.constant(wp.float64(0.25 / (1.25 ** (SETTLING - FIRST) - 1.0)))
 LEAST_LAPSE = wp.constant(wp.float64(1.0e-6))
 
 
@@ -215,12 +216,15 @@ def settle(
 ):  # fmt: skip
     """Let the worlds marked in ``settle`` come to rest under what acts; the others go to their springs' rest.
 
-    What laws remember goes on by the time ``rested`` [s] once they rest.
+    What laws remember goes on by the time ``rested`` [s] once they rest, by ever longer steps: fast memories are empty
+    by then.
     """
+    due = wp.max(rested * LAPSE, LEAST_LAPSE)
+    lapse = wp.min(LEAST_LAPSE, due)
     for n in range(SETTLING):
-        lapse = LEAST_LAPSE
         if n >= FIRST:
-            lapse = wp.max(rested * LAPSE, LEAST_LAPSE)
+            lapse = due
+            due = due * LONGER
         for i in range(1, m.count[e] + 1):
             v = x.velocity[e, i]
             o = real(0.0, v.x)

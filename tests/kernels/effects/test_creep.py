@@ -32,16 +32,17 @@ def cut(folder, law, *, held=False):
     ids=["solid", "fluid"],
 )
 def test_creep_goes_on_between_recordings(tmp_path, law, held):
-    """Stand where the long recording does, within a fortieth of its largest displacement.
+    """Stand where the long recording does, within an eightieth of its largest displacement.
 
-    The time between goes by in 8 steps of 0.4 to 0.5 s, in which the joint is where it was before each: a pull that is
-    let go of leaves an eighth of what flows then out, and a second element of 0.5 s takes two steps to empty.
+    The time between goes by in 16 steps of 0.03 to 0.8 s. In each the joint is where it was before, and moves by four
+    fifths of what is left to rest: a second element of 0.5 s is late by about a step of its own length, half of which
+    comes back with the next.
     """
     long, second = cut(tmp_path, law, held=held)
     most = np.linalg.norm(long[:, :3], axis=1).max()
     tail = long[PULL + GAP :, :3]
     assert np.linalg.norm(tail[0]) > 0.1 * most
-    assert np.linalg.norm(second[:, :3] - tail, axis=1).max() < 0.025 * most
+    assert np.linalg.norm(second[:, :3] - tail, axis=1).max() < 0.0125 * most
 
 
 def test_creep_that_is_not_kept_begins_anew(tmp_path):
