@@ -64,7 +64,7 @@ LEAST_LAG = wp.constant(wp.float64(1.0e-3))
 SETTLING = 24
 SETTLING_STEP = wp.constant(wp.float64(1.0))
 #: Of these steps those that find rest before what laws remember goes on; the share of the time between two recordings
-#: by which it does in the next one; how much longer each after it is; and the least such time [s], as laws divide by it.
+#: by which it does in the next one; how much longer each after it is; and the least such time [s]: laws divide by it.
 FIRST = 8
 LONGER = wp.constant(wp.float64(1.25))
 LAPSE = wp.constant(wp.float64(0.25 / (1.25 ** (SETTLING - FIRST) - 1.0)))
