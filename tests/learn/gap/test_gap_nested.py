@@ -196,7 +196,7 @@ def test_strengths_of_one_law_are_off_together(branch):
     ]  # fmt: skip
     for second, sure in ((0.8, True), (0.0, False)):
         truth = activated(contest, contest.base_batch(1), [[0]])
-        values = torch.tensor([math.log(1e-9), math.log(0.05), second, math.log(0.05)])
+        values = torch.tensor([math.log(1e-9), math.log(0.05), second, math.log(0.05), 0.0])
         truth.free[0, columns] = values.double()
         clean = contest.simulate(contest.values(truth), truth.start)[0].double()
         noise = contest.sigma.cpu().numpy() * np.random.default_rng(3).standard_normal(clean.shape)
