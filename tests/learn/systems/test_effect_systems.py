@@ -313,6 +313,7 @@ FIXED_AT_TRUTH = {
     "wind_gust": ("frequency_Hz", "across", "crown"),
     "steady_wind": ("across", "crown"),
     "partial_rupture": ("moment_s",),
+    "viscoelastic_sls": ("kept",),  # nothing of it is left after 20 s
 }
 
 
