@@ -11,16 +11,21 @@ from .registry import Effect, EffectParameter, Law, kept_share, register
 
 
 @wp.func
-def creep(j: Any, share: Any, relaxation: Any, z: Any):
+def half_a_step(j: Any, relaxation: Any):
+    """Half of a step over the relaxation time T; T is one where it is zero, as where the effect is off."""
+    o = real(0.0, relaxation)
+    T = relaxation + where_neg(relaxation - real(1.0e-9, o), real(1.0, o), o)
+    return real(0.5, o) * j.step / T
+
+
+@wp.func
+def creep(j: Any, relaxation: Any, z: Any):
     """tau = -a K z,  dz/dt = w - z / T: a spring a K in series with a damper a K T; the new z.
 
-    Trapezoidal rule in z, which is known in the middle of steps as the joint's angle is. Without a relaxation time
-    (T = 0, where the effect is off) z stays zero.
+    Trapezoidal rule in z, which is known in the middle of steps as the joint's angle is.
     """
-    o = real(0.0, share)
-    one = real(1.0, o)
-    T = relaxation + where_neg(relaxation - real(1.0e-9, o), one, o)
-    half = real(0.5, o) * j.step / T
+    one = real(1.0, relaxation)
+    half = half_a_step(j, relaxation)
     return (z * (one - half) + j.rate * j.step) * (one / (one + half))
 
 
@@ -28,7 +33,7 @@ def creep(j: Any, share: Any, relaxation: Any, z: Any):
 def viscoelastic_sls(j: Any, p: Any, r: Any):
     """One Maxwell element beside the joint's spring."""
     o = real(0.0, p.a)
-    z = creep(j, p.a, p.b, r.memory)
+    z = creep(j, p.b, r.memory)
     k = p.a * j.stiffness
     return type(r)(z * (o - k), z, k, o)
 
@@ -38,12 +43,9 @@ def flowed(j: Any, relaxation: Any, b: Any):
     """db/dt = (phi - b) / T: how far the damper of an element has flowed; the new b.
 
     Trapezoidal rule, phi known in the middle of steps; b is phi after a step of 2 T, as there are between recordings.
-    Without a relaxation time (T = 0, where the effect is off) T is one.
     """
-    o = real(0.0, relaxation)
-    one = real(1.0, o)
-    T = relaxation + where_neg(relaxation - real(1.0e-9, o), one, o)
-    half = real(0.5, o) * j.step / T
+    one = real(1.0, relaxation)
+    half = half_a_step(j, relaxation)
     half = where_neg(one - half, one, half)
     return (b * (one - half) + j.angle * (half + half)) * (one / (one + half))
 

@@ -51,9 +51,8 @@ def test_force_is_the_formula(m, s, k, linear):
     u = turn.inv().apply(velocity) * [1.0, 1.0, 1.0 - m]
     own = ((1 - s) * np.linalg.norm(u, axis=1, keepdims=True) + linear) * u + s * np.abs(u) * u
     wanted = -C * ((1 - k) * AREA + k * CROWN) * turn.apply(own)
-    np.testing.assert_allclose(
-        forces(velocity, turn, m, s, k, linear), wanted, atol=2e-6 * np.abs(wanted).max()
-    )  # float32
+    atol = 2e-6 * np.abs(wanted).max()  # float32
+    np.testing.assert_allclose(forces(velocity, turn, m, s, k, linear), wanted, atol=atol)
 
 
 def test_motion_along_a_segment_is_free_where_only_the_flow_across_counts():
