@@ -248,12 +248,12 @@ def bears_out(gains: Sequence[float], fitted: float) -> bool:
 def chosen(fitted: FittedModels, most: int) -> Model:
     """Return the preferred model with at most ``most`` effects, the base model if nothing else was fitted.
 
-    Selection is forward: a further effect is added only if it explains much of the remaining excess. One law at many
-    joints (`models.widespread`) is one name.
+    Selection is forward: a further effect is added only if it explains much of the remaining excess, and is not the
+    same in principle as another one at its joint. One law at many joints (`models.widespread`) is one name.
     """
     best = _single(fitted)
     for count in range(2, most + 1):
-        further = fitted.of_size(count)
+        further = [m for m in fitted.of_size(count) if not _alike(fitted, m)]
         if not further or not _worth_more(fitted, best, further[0]):
             break
         best = further[0]
@@ -262,6 +262,17 @@ def chosen(fitted: FittedModels, most: int) -> Model:
         return best
     widest = min(wide, key=fitted.criterion)
     return widest if fitted.criterion(best) - fitted.criterion(widest) > FURTHER else best
+
+
+def _alike(fitted: FittedModels, model: Model) -> bool:
+    """Return whether two effects of a model of joints are the same in principle, at one joint.
+
+    A set beside a loop is a second elastic slider: it corrects the loop's form, and is not missing beside it.
+    """
+    if isinstance(fitted.contest.case, BranchCase):
+        return False
+    acting = [fitted.contest.candidates[c].acting for c in model.members]
+    return any(a.joint == b.joint and b.name in effect_of(a.name).law("joint").alike for a in acting for b in acting)
 
 
 def _worth_more(fitted: FittedModels, best: Model, trial: Model) -> bool:

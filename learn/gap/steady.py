@@ -1,18 +1,20 @@
 """Whether a verdict on measured joints hangs on how their recordings are treated: filter, rate, split.
 
 The leading models are fitted again to the same recordings under another cut-off of the filter (torques) or at half the
-rate (replays), and to a part of the recordings. A name that does not survive is not claimed.
+rate (replays), and to a part of the recordings. A name that does not survive is not claimed, unless what takes its
+place is the same in principle, such as a set and a loop of one slider: that is an alternative.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from ...sim.base.errors import InputError
+from ...sim.effects import effect_of
 from ..cases.case import BranchCase, JointCase, JointTrajectory
 from ..inference.identify import pooled_sigma
 from ..replay.choice import roughness
@@ -69,15 +71,39 @@ def steadied(base: Base, searched: Searched, decision: Decision, run: Run) -> De
     if isinstance(case, BranchCase) or decision.verdict == "unknown":
         return decision
     kept, changes = decision.model.members if decision.verdict == "effects" else (), []
+    akin: dict[str, set[str]] = {}
     for variant in variants(case):
         again, fitted = _again(base, searched, decision, variant, run)
-        less = len(variant.recordings) < len(case.trajectories) and shows_less(fitted, again.model, decision.model)
-        lost = [c for c in kept if not (less or again.verdict == "none"
-                                        or _held(fitted, again.model, _name(searched, c)))]  # fmt: skip
+        gone = _gone(searched, decision, variant, again, fitted, kept)
+        same = {c: _alike(_name(searched, c), fitted.names(again.model)) for c in gone}
+        for c, names in same.items():
+            akin.setdefault(searched.fitted.contest.candidates[c].acting.label, set()).update(names)
+        lost = [c for c in gone if not same[c]]
         if lost or (again.verdict == "effects" and not decision.named):
             changes.append(f"{variant.what} gives {' and '.join(fitted.names(again.model))}")
         kept = tuple(c for c in kept if c not in lost)
-    return decision if not changes else _reduced(searched, decision, kept, tuple(changes))
+    decision = decision if not changes else _reduced(searched, decision, kept, tuple(changes))
+    return replace(decision, alternatives=with_akin(decision.alternatives, akin))
+
+
+def _gone(
+    searched: Searched, decision: Decision, variant: Variant, again: Decision, fitted: FittedModels, kept: Sequence[int]
+) -> list[int]:
+    """Return those of the effects still kept whose names a treatment has not, where it could have shown them."""
+    part = len(variant.recordings) < len(variant.case.trajectories)
+    if again.verdict == "none" or (part and shows_less(fitted, again.model, decision.model)):
+        return []
+    return [c for c in kept if not _held(fitted, again.model, _name(searched, c))]
+
+
+def _alike(name: str, others: Sequence[str]) -> set[str]:
+    """Return those of other names that are the same in principle as a name of a joint."""
+    return set(others) & set(effect_of(name).law("joint").alike)
+
+
+def with_akin(alternatives: dict[str, tuple[str, ...]], akin: dict[str, set[str]]) -> dict[str, tuple[str, ...]]:
+    """Return the alternatives of effects by label, and after them the names that another treatment has instead."""
+    return {k: (*v, *sorted(akin.get(k, set()) - set(v))) for k, v in alternatives.items()}
 
 
 def _held(fitted: FittedModels, model: Model, name: str) -> bool:

@@ -97,6 +97,6 @@ EFFECT = register(
             holds=hysteresis_holds,
             keeps="kept",
         ),
-        joint=Law("joint", (*_PARAMETERS, _STIFFENING), hysteresis_boucwen, memory=1),
+        joint=Law("joint", (*_PARAMETERS, _STIFFENING), hysteresis_boucwen, memory=1, alike=("plastic_set",)),
     )
 )

@@ -72,6 +72,7 @@ EFFECT = register(
         branch=Law(
             "joint", (_PARAMETERS[0], _YIELD, _PARAMETERS[2], _SEPARATE, _FLOW), plastic_set, memory=2, persistent=True
         ),
-        joint=Law("joint", _PARAMETERS, plastic_set, memory=2),
+        # with kinematic hardening: one elastic slider, Bouc and Wen's of a large exponent
+        joint=Law("joint", _PARAMETERS, plastic_set, memory=2, alike=("hysteresis_boucwen",)),
     )
 )

@@ -170,6 +170,7 @@ class Law:
         keeps: Name of the parameter that is the share of a persistent memory which outlasts a recording; empty where
             all of it does.
         follows: Whether the torque at a joint follows its angle at rest, by the stiffness that the law returns.
+        alike: Names of effects that are the same in principle: a limit of this law, or what it is a limit of.
     """
 
     kind: Kind
@@ -189,6 +190,7 @@ class Law:
     strengths: tuple[str, ...] = ()
     keeps: str = ""
     follows: bool = False
+    alike: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 from bough.learn.gap.models.fitted import FittedModels, Model
-from bough.learn.gap.steady import shows_less
+from bough.learn.gap.steady import shows_less, with_akin
 from bough.sim.effects import EffectParameter
 
 SAMPLES, FIRST, SECOND, OTHER = 1000, 0, 1, 2
@@ -46,3 +46,9 @@ def test_a_part_without_the_pair_takes_it_back():
     fitted = part(950.0)
     fitted.models.pop()
     assert not shows_less(fitted, fitted.models[0], model(1.0, FIRST, SECOND))
+
+
+def test_what_is_the_same_in_principle_is_an_alternative():
+    """List a set beside a loop where another treatment has it in its place; a name that is there already stays one."""
+    found = with_akin({"loop": ("drag",), "play": ()}, {"loop": {"set", "drag"}, "gone": {"set"}})
+    assert found == {"loop": ("drag", "set"), "play": ()}
