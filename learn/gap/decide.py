@@ -120,7 +120,7 @@ def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
     verdict, off = _verdict(base, searched, model, settings.tolerance)
     candidates = models.contest.candidates
     if verdict == "effects":
-        named = tuple(candidates[c].acting for c in model.members)
+        named = models.acting(model)
         ended = () if turned is first else models.labels(first)
         return Decision(verdict, models.base, model, model, named, alternatives(models, model), ended=ended)
     if verdict == "none":
@@ -253,7 +253,7 @@ def chosen(fitted: FittedModels, most: int) -> Model:
     """
     best = _single(fitted)
     for count in range(2, most + 1):
-        further = [m for m in fitted.of_size(count) if not _alike(fitted, m)]
+        further = [m for m in fitted.of_size(count) if not _doubled(fitted, m)]
         if not further or not _worth_more(fitted, best, further[0]):
             break
         best = further[0]
@@ -264,15 +264,20 @@ def chosen(fitted: FittedModels, most: int) -> Model:
     return widest if fitted.criterion(best) - fitted.criterion(widest) > FURTHER else best
 
 
-def _alike(fitted: FittedModels, model: Model) -> bool:
-    """Return whether two effects of a model of joints are the same in principle, at one joint.
+def alike(a: Acting, b: Acting) -> bool:
+    """Return whether two effects of measured joints are the same in principle (`Law.alike`), at one joint."""
+    return a.joint == b.joint and b.name in effect_of(a.name).law("joint").alike
+
+
+def _doubled(fitted: FittedModels, model: Model) -> bool:
+    """Return whether two effects of a model of joints are alike.
 
     A set beside a loop is a second elastic slider: it corrects the loop's form, and is not missing beside it.
     """
     if isinstance(fitted.contest.case, BranchCase):
         return False
-    acting = [fitted.contest.candidates[c].acting for c in model.members]
-    return any(a.joint == b.joint and b.name in effect_of(a.name).law("joint").alike for a in acting for b in acting)
+    acting = fitted.acting(model)
+    return any(alike(a, b) for a in acting for b in acting)
 
 
 def _worth_more(fitted: FittedModels, best: Model, trial: Model) -> bool:

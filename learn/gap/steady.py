@@ -14,13 +14,12 @@ import numpy as np
 import torch
 
 from ...sim.base.errors import InputError
-from ...sim.effects import effect_of
 from ..cases.case import BranchCase, JointCase, JointTrajectory
 from ..inference.identify import pooled_sigma
 from ..replay.choice import roughness
 from ..replay.equation_error import fits_torque, noise_of, recordings_of, thinned
 from ..replay.motion_noise import motion_noise
-from .decide import EXPLAINED, Decision, alternatives, decide, leading
+from .decide import EXPLAINED, Decision, alike, alternatives, decide, leading
 from .evidence import bootstrap_test
 from .models.at_rest import Noise
 from .models.contest import Batch, Contest
@@ -75,10 +74,12 @@ def steadied(base: Base, searched: Searched, decision: Decision, run: Run) -> De
     for variant in variants(case):
         again, fitted = _again(base, searched, decision, variant, run)
         gone = _gone(searched, decision, variant, again, fitted, kept)
-        same = {c: _alike(_name(searched, c), fitted.names(again.model)) for c in gone}
-        for c, names in same.items():
-            akin.setdefault(searched.fitted.contest.candidates[c].acting.label, set()).update(names)
-        lost = [c for c in gone if not same[c]]
+        lost = []
+        for c in gone:
+            own = searched.fitted.contest.candidates[c].acting
+            same = {a.name for a in fitted.acting(again.model) if alike(own, a)}
+            akin.setdefault(own.label, set()).update(same)
+            lost += [] if same else [c]
         if lost or (again.verdict == "effects" and not decision.named):
             changes.append(f"{variant.what} gives {' and '.join(fitted.names(again.model))}")
         kept = tuple(c for c in kept if c not in lost)
@@ -94,11 +95,6 @@ def _gone(
     if again.verdict == "none" or (part and shows_less(fitted, again.model, decision.model)):
         return []
     return [c for c in kept if not _held(fitted, again.model, _name(searched, c))]
-
-
-def _alike(name: str, others: Sequence[str]) -> set[str]:
-    """Return those of other names that are the same in principle as a name of a joint."""
-    return set(others) & set(effect_of(name).law("joint").alike)
 
 
 def with_akin(alternatives: dict[str, tuple[str, ...]], akin: dict[str, set[str]]) -> dict[str, tuple[str, ...]]:
@@ -142,9 +138,8 @@ def _reduced(searched: Searched, decision: Decision, kept: tuple[int, ...], chan
         return replace(decision, verdict="unknown", named=(), alternatives={}, nearest=nearest,
                        final=decision.model, unstable=changes)  # fmt: skip
     model = alone[0]
-    named = tuple(fitted.contest.candidates[c].acting for c in model.members)
-    return replace(decision, model=model, final=model, named=named, alternatives=alternatives(fitted, model),
-                   unstable=changes)  # fmt: skip
+    return replace(decision, model=model, final=model, named=fitted.acting(model),
+                   alternatives=alternatives(fitted, model), unstable=changes)  # fmt: skip
 
 
 def variants(case: JointCase) -> Iterator[Variant]:

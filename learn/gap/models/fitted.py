@@ -11,6 +11,7 @@ import numpy as np
 from ....sim.base.types import Array
 from ....sim.effects import EffectParameter
 from ...cases.case import BranchCase
+from ...systems.acting import Acting
 from .contest import Contest
 from .refit import Fits
 
@@ -108,7 +109,11 @@ class FittedModels:
 
     def labels(self, model: Model) -> tuple[str, ...]:
         """Return the labels of a model's effects, such as ``dry_friction@1``."""
-        return tuple(self.contest.candidates[c].acting.label for c in model.members)
+        return tuple(a.label for a in self.acting(model))
+
+    def acting(self, model: Model) -> tuple[Acting, ...]:
+        """Return a model's effects, and where they act."""
+        return tuple(self.contest.candidates[c].acting for c in model.members)
 
     def needs_more(self, model: Model) -> bool:
         """Return whether a model leaves more than noise."""

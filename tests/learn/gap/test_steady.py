@@ -3,8 +3,10 @@
 from types import SimpleNamespace
 
 import pytest
+from bough.learn.gap.decide import alike
 from bough.learn.gap.models.fitted import FittedModels, Model
 from bough.learn.gap.steady import shows_less, with_akin
+from bough.learn.systems.acting import Acting
 from bough.sim.effects import EffectParameter
 
 SAMPLES, FIRST, SECOND, OTHER = 1000, 0, 1, 2
@@ -52,3 +54,10 @@ def test_what_is_the_same_in_principle_is_an_alternative():
     """List a set beside a loop where another treatment has it in its place; a name that is there already stays one."""
     found = with_akin({"loop": ("drag",), "play": ()}, {"loop": {"set", "drag"}, "gone": {"set"}})
     assert found == {"loop": ("drag", "set"), "play": ()}
+
+
+def test_a_set_takes_a_loop_s_place_at_its_own_joint_alone():
+    """Call a set and a loop the same in principle at one joint, neither way at two, and a drag nowhere."""
+    loop = Acting("hysteresis_boucwen", 0)
+    assert alike(loop, Acting("plastic_set", 0)) and alike(Acting("plastic_set", 0), loop)
+    assert not any(alike(loop, a) for a in (Acting("plastic_set", 1), Acting("quadratic_drag", 0), loop))
