@@ -19,6 +19,7 @@ import warp as wp
 
 from ..lanes.algebra import add, add_cross, add_scaled, cross, div, dot, growth, mul, norm, rotate, sub, unrotate
 from ..lanes.real import SOURCE, fma, fnma, real, sqrt_, where_neg
+from ..tree.midway import set_out_from, to_sample, to_step
 from ..tree.observe import locate_links
 from ..tree.rollout import Moment, look_ahead, write_gains, write_joints, write_point
 from .held import holder_of
@@ -312,8 +313,10 @@ def replay_samples(
     along = grip_of(grip, j, ALONG, start)
     rate = wp.float64(1.0) / (h * wp.float64(substeps))
     before = wp.where(fx.active[e, at.preceding] == 1, lead, 0)
+    set_out_from(e, m, x, fx)
     for i in range(before + n):
         k = i - before
+        to_sample(e, m, x, fx, h, i > 0)
         locate_links(e, row, m, x, s)
         if written >= 0 and k >= 0:
             dt = real(h * wp.float64(substeps), start.x)
@@ -321,6 +324,7 @@ def replay_samples(
             if track == 1:
                 for link in range(m.count[e] + 1):
                     coordinate_out[e, (written + k) * fx.stride + link] = x.coordinate[e, link]
+        to_step(e, m, x, fx)
         if k < n - 1:
             ends = wp.int32(NEVER)
             if is_on(e, at.delay, fx) and k >= 0:

@@ -122,11 +122,11 @@ def _outer_law_types(Real: Any, Vec: Any, Quat: Any) -> SimpleNamespace:
 def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
     """Return the structs of `kernels.tree.layout`, those of laws, and ``Effects``, of one width and precision."""
     t = layout_of(width, precision)
-    Real, Vec = t.Real, t.Vec
+    Real, Vec, Quat = t.Real, t.Vec, t.Quat
 
     @wp.struct
     class Effects:
-        """Arrays of a replay's effects."""
+        """Arrays of a replay's effects, those of `midway.Midway` among them."""
 
         parameter: wp.array2d(dtype=Real)
         memory: wp.array2d(dtype=Vec)
@@ -135,6 +135,9 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         hold: wp.array2d(dtype=Vec)
         wind: wp.array2d(dtype=Vec)
         swirl: wp.array2d(dtype=Vec)
+        before: wp.array2d(dtype=Vec)
+        gain: wp.array2d(dtype=Vec)
+        ahead: wp.array2d(dtype=Quat)
         active: wp.array2d(dtype=int)
         area: wp.array2d(dtype=Real)
         centre: wp.array2d(dtype=Vec)

@@ -49,6 +49,7 @@ from ..tree.articulated import (
     place_root,
     skew,
 )
+from ..tree.midway import damper_midway, look_again, look_forward, set_out_from
 from .structs import PARAMETERS, effect_types
 
 __all__ = ["GROUPS", "Present", "Term", "step_of"]
@@ -422,15 +423,17 @@ def act(
         stiffness = m.stiffness[e, i]
         damping = fx.damping[e, i]
         back = stiffness
+        steep = stiffness
         if is_on(e, at.joint, fx):
             r = strain(e, i, m, x, u.effort[e, i], fx, lapse, real(time, o))
             total = total + r.torque
             damping = effective_damping(m.kind[e, i], damping, stiffness, r.stiffness, r.damping, h)
             back = stiffness + r.follows
+            steep = stiffness + where_neg(r.stiffness, o, r.stiffness)
         if still != MOVING:
             damping = back * real(h * wp.float64(1.25), o)
         m.damping[e, i] = damping
-        fx.effort[e, i] = total
+        fx.effort[e, i] = total + damper_midway(e, i, m, fx, damping, fx.damping[e, i], steep, h)
         if at.link >= 0:
             fx.wind[e, i] = zero
             fx.swirl[e, i] = zero
@@ -481,13 +484,17 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
         e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, bound: wp.float64,
         still: int, lapse: wp.float64,
     ):  # fmt: skip
-        """Take one semi-implicit step of length h [s] at an absolute time [s], all terms included.
+        """Take one semi-implicit step of length h [s] at an absolute time [s], all terms included (`midway`).
 
         Of a step that seeks rest h is no time: what laws remember goes on by ``lapse`` [s], h in one that moves.
         """
         at = Present(at_joint, at_link, tip)
         place_root(e, row, m, s)
+        if still != MOVING:
+            set_out_from(e, m, x, fx)
+        look_forward(e, m, x, fx)
         place_links(e, row, m, x, s)
+        look_again(e, m, x, fx)
         act(e, row, m, x, u, fx, s, h, time, still, lapse, at, strain, strips)
         fold(e, row, m, x, u, fx, s, h, at)
         advance_links(e, row, m, x, s, h, bound)

@@ -13,8 +13,8 @@ import warp as wp
 
 from ..lanes.algebra import add, add_cross, rotate
 from ..lanes.real import SOURCE, mul, real, sub
-from .articulated import SPHERICAL, advance_loaded
-from .layout import layout_of
+from .articulated import SPHERICAL, advance_links, advance_loaded, fold_links_loaded, place_links, place_root
+from .midway import damper_midway, look_again, look_forward, midway_types, set_out_from, to_sample, to_step
 from .observe import locate_links
 
 __all__ = [
@@ -79,22 +79,40 @@ def force_in(input_in: wp.array3d(dtype=wp.float64), now: Moment, like: Any):
 
 
 @wp.func(inline=True)
+def advance_midway(e: int, row: int, m: Any, x: Any, u: Any, s: Any, mid: Any, h: wp.float64, bound: wp.float64):
+    """Take a step as `articulated.advance_loaded` does, of second order (`midway`); efforts at joints are its own."""
+    place_root(e, row, m, s)
+    look_forward(e, m, x, mid)
+    place_links(e, row, m, x, s)
+    look_again(e, m, x, mid)
+    for i in range(1, m.count[e] + 1):
+        damping = m.damping[e, i]
+        u.effort[e, i] = damper_midway(e, i, m, mid, damping, damping, m.stiffness[e, i], h)
+    fold_links_loaded(e, row, m, x, u, s, h)
+    advance_links(e, row, m, x, s, h, bound)
+    x.tick[e] = x.tick[e] + 1
+
+
+@wp.func(inline=True)
 def replay_point(
-    e: int, row: int, j: int, place: int, samples: int, m: Any, x: Any, u: Any, input_in: wp.array3d(dtype=wp.float64),
-    s: Any, substeps: int, h: wp.float64, bound: wp.float64, output_out: Any,
+    e: int, row: int, j: int, place: int, samples: int, m: Any, x: Any, u: Any, mid: Any,
+    input_in: wp.array3d(dtype=wp.float64), s: Any, substeps: int, h: wp.float64, bound: wp.float64, output_out: Any,
 ):  # fmt: skip
     """Push a link at its load point p as recording j says; write x + R p since the first sample, and v + w x R p."""
     locate_links(e, row, m, x, s)
     start = s.accel[row, place] + rotate(s.pose[row, place], u.point[e, place])
+    set_out_from(e, m, x, mid)
     for k in range(samples):
+        to_sample(e, m, x, mid, h, k > 0)
         locate_links(e, row, m, x, s)
         arm = rotate(s.pose[row, place], u.point[e, place])
         p = s.accel[row, place] + arm - start
         write_point(e, k, p, add_cross(s.alpha[row, place], s.spin[row, place], arm), output_out)
+        to_step(e, m, x, mid)
         if k < samples - 1:
             for step in range(substeps):
                 u.force[e, place] = force_in(input_in, Moment(j, k, k + 1, step, substeps, 1), p)
-                advance_loaded(e, row, m, x, u, s, h, bound)
+                advance_midway(e, row, m, x, u, s, mid, h, bound)
 
 
 # ---- joints, driven and watched --------------------------------------------------------------------------------------
@@ -161,13 +179,13 @@ def rollout_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
     holds what acts at its samples, ``length`` [trajectories] its number of samples, ``grasped`` [trajectories] the link
     that is pushed. Each sample is followed by ``substeps`` steps. Worlds start from the state they are given.
     """
-    t = layout_of(width, precision)
-    Model, State, Load, Scratch, Real = t.Model, t.State, t.Load, t.Scratch, t.Real
+    t = midway_types(width, precision)
+    Model, State, Load, Midway, Scratch, Real = t.Model, t.State, t.Load, t.Midway, t.Scratch, t.Real
 
     @wp.kernel(enable_backward=False, module="unique")
     def point(
-        m: Model, x_in_out: State, u_out: Load, grasped: wp.array(dtype=int), trajectory: wp.array(dtype=int),
-        length: wp.array(dtype=int), input_in: wp.array3d(dtype=wp.float64), s_out: Scratch, first: int, row: int,
+        m: Model, x_in_out: State, u_out: Load, mid_out: Midway, grasped: wp.array(dtype=int),
+        trajectory: wp.array(dtype=int), length: wp.array(dtype=int), input_in: wp.array3d(dtype=wp.float64), s_out: Scratch, first: int, row: int,
         substeps: int, h: wp.float64, bound: wp.float64, output_out: wp.array2d(dtype=Real),
     ):  # fmt: skip
         """Push a link as the trajectory of a group says, and write how its load point moves."""
@@ -175,7 +193,7 @@ def rollout_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
         e = first + wp.tid()
         r = wp.where(row < 0, e, row)
         j = trajectory[e]
-        replay_point(e, r, j, grasped[j], length[j], m, x_in_out, u_out, input_in, s_out, substeps, h, bound,
+        replay_point(e, r, j, grasped[j], length[j], m, x_in_out, u_out, mid_out, input_in, s_out, substeps, h, bound,
                      output_out)  # fmt: skip
 
     @wp.kernel(enable_backward=False, module="unique")

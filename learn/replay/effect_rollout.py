@@ -45,13 +45,14 @@ class EffectArrays:
             FIELD: m.field("Real", places=count * PARAMETERS * stride),
             "memory": m.field("Vec", places=max(1, vectors * stride)),
             "settle": m.field("Real", places=1),
-            **{name: m.field("Vec") for name in ("effort", "hold", "wind", "swirl", "centre", "end")},
+            **{name: m.field("Vec") for name in ("effort", "hold", "wind", "swirl", "centre", "end", "before", "gain")},
+            "ahead": m.field("Quat"),
             **{name: m.field("Real") for name in ("damping", "area", "crown")},
         }
         self.kernel = effect_types(m.width, m.precision).Effects()
         self.kernel.parameter = self.arrays[FIELD].kernel
         self.kernel.settle = self.arrays["settle"].column()
-        for name in ("memory", "effort", "hold", "wind", "swirl", "centre", "end", "damping", "area", "crown"):
+        for name in self.arrays.keys() - {FIELD, "settle"}:
             setattr(self.kernel, name, self.arrays[name].kernel)
         self.kernel.stride = stride
         self.kernel.active = wp.zeros((m.groups, count + len(GROUPS)), dtype=int, device=m.device)

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 import warp as wp
 
+from ...kernels.tree.midway import midway_types
 from ...kernels.tree.rollout import rollout_kernels
 from ..cases.case import BranchCase, JointCase
 from ..systems.acting import FIELD
@@ -60,7 +61,7 @@ class Rollout(ReplayWorlds):
         kernels = rollout_kernels(m.width, m.precision)
         before = [sim._dynamics, sim.state.kernel, sim.load.kernel]
         if isinstance(self.system, BranchSystem):
-            kernel, before = kernels.point, [*before, self._grasped(), trajectory, length, drive]
+            kernel, before = kernels.point, [*before, self._midway(), self._grasped(), trajectory, length, drive]
         else:
             kernel, before = kernels.joint, [*before, *self.joint_arguments(), trajectory, length, drive]
         after = [self.substeps, sim.dt / self.substeps, sim.max_speed, self.allocate_output().kernel]
@@ -72,6 +73,14 @@ class Rollout(ReplayWorlds):
         out = self.effects.arrays["track"].torch.unflatten(0, (self.chains, self.blocks))
         out = out.flatten(1, 2)[:, : self.num_sets].transpose(0, 1)
         return out.reshape(self.num_sets, len(self.recordings), -1, self.model.places + 1, 4)
+
+    def _midway(self) -> Any:
+        """Return what the steps of a branch remember of each other, see `kernels.tree.midway`."""
+        self._between = {n: self.model.field("Quat" if n == "ahead" else "Vec") for n in ("before", "gain", "ahead")}
+        out = midway_types(self.model.width, self.model.precision).Midway()
+        for name, array in self._between.items():
+            setattr(out, name, array.kernel)
+        return out
 
     def _grasped(self) -> wp.array:
         """Write every recording's grasp point; return the places of the links that are held."""

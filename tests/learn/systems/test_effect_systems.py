@@ -269,7 +269,7 @@ def test_a_replay_does_not_remember_the_one_before(tmp_path, form):
         [[KS, DS, 0.6, 0.06, 1.4, 0.7, 0.6, 1.0, 0.5][: len(rollout.system.parameters)]], dtype=torch.float64
     )
     first = rollout(values).clone()
-    for name in ("memory", "effort", "hold"):
+    for name in ("memory", "effort", "hold", "before", "gain", "ahead"):
         rollout.effects.arrays[name].torch.fill_(torch.nan)
     for array in (rollout.simulator.state.coordinate, rollout.simulator.state.velocity):
         array.torch.fill_(torch.nan)
