@@ -7,8 +7,8 @@ rate w, the link's axes, will be there is told from the step before: w + g / 2, 
     the damper          -D w' + D g / 2, which is -D (w + w') / 2 to second order. Not about the segment's own axis,
                         about which it has hardly any inertia: there -D w', backward Euler's
 
-Without any inertia a spring K that is explicit stays stable with -D w' + c D g for c < D / (D + h K) (Jury's criterion for
-w' = c (w - w_before) - (K / D) x, x' = x + h w'), so no more than that is taken where D is below h K.
+Without any inertia a spring K that is explicit stays stable with -D w' + c D g for c < D / (D + h K) (Jury's criterion
+for w' = c (w - w_before) - (K / D) x, x' = x + h w'), so no more than that is taken where D is below h K.
 
 At a sample coordinates are taken half a step back, so that displacement and velocity are those of one moment. Joints of
 one axis are left as they are.

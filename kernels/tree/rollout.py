@@ -185,8 +185,9 @@ def rollout_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
     @wp.kernel(enable_backward=False, module="unique")
     def point(
         m: Model, x_in_out: State, u_out: Load, mid_out: Midway, grasped: wp.array(dtype=int),
-        trajectory: wp.array(dtype=int), length: wp.array(dtype=int), input_in: wp.array3d(dtype=wp.float64), s_out: Scratch, first: int, row: int,
-        substeps: int, h: wp.float64, bound: wp.float64, output_out: wp.array2d(dtype=Real),
+        trajectory: wp.array(dtype=int), length: wp.array(dtype=int), input_in: wp.array3d(dtype=wp.float64),
+        s_out: Scratch, first: int, row: int, substeps: int, h: wp.float64, bound: wp.float64,
+        output_out: wp.array2d(dtype=Real),
     ):  # fmt: skip
         """Push a link as the trajectory of a group says, and write how its load point moves."""
         tag = SOURCE  # noqa: F841

@@ -60,7 +60,7 @@ def hide(
     forms: Mapping[str, str] | None = None,
     sub: int = 3,
     wood: float = 0.08,
-    dt: float = 1e-3,
+    dt: float = 2.5e-4,
     reach: float = 0.22,
 ) -> dict[str, Any]:
     """Write a case folder with effects hidden and ``<folder>_answer.json`` beside it; return the answer.
