@@ -100,6 +100,7 @@ def intervals(
     if decision.verdict != "effects":
         return {}
     widths = {} if posterior is not None else _deviations(contest.rigid(), decision, fitted, train)
+    values = contest.values(fitted)[0].tolist()
     ends = {} if posterior is None else _rows(posterior)
     out: Intervals = {}
     for c in decision.model.members:
@@ -108,7 +109,7 @@ def intervals(
         columns = zip(candidate.specs, candidate.columns, strict=True)
         for spec, k in ((s, k) for s, k in columns if fitted.active[0, k]):
             p, free = contest.parameters[k], float(fitted.free[0, k])
-            row = ends[p.name] if ends else _by_curvature(p, free, widths[k])
+            row = ends[p.name] if ends else (values[k], *_by_curvature(p, free, widths[k]))
             own[spec.name] = Interval(*row, p.unit, at_bound(p, free, row))
     return out
 
@@ -118,12 +119,11 @@ def _rows(posterior: Posterior) -> dict[str, tuple[float, float, float]]:
     return {n: (m, a, b) for n, m, a, b in zip(posterior.names, *columns, strict=True)}
 
 
-def _by_curvature(p: Parameter, free: float, spread: float) -> tuple[float, float, float]:
-    """Return value and ends of an interval; beyond an end of the box there is nothing to be told."""
-    low, high = p.free(p.low), p.free(p.high)
-    ends = (free, max(free - 1.96 * spread, low), min(free + 1.96 * spread, high))
-    middle, a, b = (float(np.exp(x)) if p.scale == "log" else x for x in ends)
-    return middle, a, b
+def _by_curvature(p: Parameter, free: float, spread: float) -> tuple[float, float]:
+    """Return the ends of an interval; beyond an end of the box there is nothing to be told."""
+    ends = max(free - 1.96 * spread, p.free(p.low)), min(free + 1.96 * spread, p.free(p.high))
+    low, high = (float(np.exp(x)) if p.scale == "log" else x for x in ends)
+    return low, high
 
 
 def at_bound(p: Parameter, free: float, row: tuple[float, float, float]) -> Bound:
