@@ -258,9 +258,9 @@ def chosen(fitted: FittedModels, most: int) -> Model:
             break
         best = further[0]
     wide = [m for m in fitted.models if len(m.members) > most and len(set(fitted.names(m))) == 1]
-    if not fits_torque(fitted.contest.case) or not wide:
+    widest = min(wide, key=fitted.criterion, default=best)
+    if isinstance(fitted.contest.case, BranchCase) and not known(fitted, widest):
         return best
-    widest = min(wide, key=fitted.criterion)
     return widest if fitted.criterion(best) - fitted.criterion(widest) > FURTHER else best
 
 

@@ -40,6 +40,7 @@ EFFECT = register(
             ),
             anisotropic_stiffness,
             strengths=("relative", "twist"),
+            throughout=True,
         ),
     )
 )

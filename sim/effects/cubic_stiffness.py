@@ -64,6 +64,7 @@ EFFECT = register(
                 EffectParameter("quintic", "1", 0.0, 2.0, tries=lambda s: [0.0], optional=True),
             ),
             cubic_ball,
+            throughout=True,
         ),
         joint=Law("joint", (_CUBIC,), cubic_stiffness),
     )

@@ -96,6 +96,7 @@ EFFECT = register(
             persistent=True,
             holds=hysteresis_holds,
             keeps="kept",
+            throughout=True,
         ),
         joint=Law("joint", (*_PARAMETERS, _STIFFENING), hysteresis_boucwen, memory=1, alike=("plastic_set",)),
     )

@@ -171,6 +171,7 @@ class Law:
             all of it does.
         follows: Whether the torque at a joint follows its angle at rest, by the stiffness that the law returns.
         alike: Names of effects that are the same in principle: a limit of this law, or what it is a limit of.
+        throughout: Whether wood has it along a whole branch, so that every joint may have its own.
     """
 
     kind: Kind
@@ -191,6 +192,7 @@ class Law:
     keeps: str = ""
     follows: bool = False
     alike: tuple[str, ...] = ()
+    throughout: bool = False
 
 
 @dataclass(frozen=True)

@@ -101,6 +101,7 @@ EFFECT = register(
             strengths=("share", "second_share"),
             keeps="kept",
             follows=True,
+            throughout=True,
         ),
         joint=Law("joint", (_SHARE, _RELAXATION), viscoelastic_sls, memory=1),
     )

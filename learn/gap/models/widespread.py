@@ -1,21 +1,23 @@
-"""One law at many joints of a mechanism, such as the friction of every gear of an arm.
+"""One law at many joints: the friction of every gear of an arm, or the grain of a branch along its whole length.
 
 Effects are named two together if not asked otherwise, since freedom explains anything. A law at every joint is one
-name; where torques are fitted each joint shows its own in its own torque.
+name. Where torques are fitted each joint shows its own in its own torque; of a branch's laws those are tried that wood
+has everywhere (`Law.throughout`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ...cases.case import JointCase
+from ....sim.effects import effect_of
+from ...cases.case import BranchCase, JointCase
 from ...replay.equation_error import fits_torque
 from .contest import Batch, activated
 from .fitted import FURTHER, FittedModels, Model, overdispersion, penalty
 from .levels import reduced
 from .refit import fit
 
-#: Laws that are tried: those of the leading models with one effect.
+#: Laws that are tried: those of the leading models.
 LAWS = 3
 #: Steps of a fit of all joints, and of one from there with a joint less.
 STEPS, LESS = 30, 8
@@ -24,16 +26,24 @@ OWN = 0.4
 
 
 def widespread(fitted: FittedModels, most: int) -> list[Model]:
-    """Return models of one law at more than ``most`` joints, none for branches and replays.
+    """Return models of one law at more than ``most`` joints, none for replays of joints.
 
-    From all joints those are left out one by one at which the law does not pay for its parameters or explains less than
-    `OWN` of what is missing from that joint's torque.
+    From all joints those are left out one by one at which the law does not pay for its parameters or, where torques are
+    fitted, explains less than `OWN` of what is missing from that joint's torque.
     """
     case = fitted.contest.case
-    if not isinstance(case, JointCase) or not fits_torque(case) or len(case.joints) <= most:
+    if isinstance(case, JointCase) and not fits_torque(case):
         return []
-    laws = dict.fromkeys(fitted.names(m)[0] for m in fitted.of_size(1))
-    return [m for name in list(laws)[:LAWS] for m in _pruned(fitted, name, most)]
+    return [m for name in _laws(fitted)[:LAWS] for m in _pruned(fitted, name, most)]
+
+
+def _laws(fitted: FittedModels) -> list[str]:
+    """Return the names of the leading models' laws, best first: of models with one effect, of a branch with more too."""
+    if isinstance(fitted.contest.case, JointCase):
+        return list(dict.fromkeys(fitted.names(m)[0] for m in fitted.of_size(1)))
+    leading = sorted(fitted.models, key=fitted.criterion)
+    names = dict.fromkeys(name for m in leading for name in fitted.names(m))
+    return [n for n in names if (law := effect_of(n).branch) is not None and law.throughout]
 
 
 def _pruned(fitted: FittedModels, name: str, most: int) -> list[Model]:
@@ -63,9 +73,11 @@ def _begun(fitted: FittedModels, members: Sequence[int]) -> Batch:
 
 
 def _pays(fitted: FittedModels, model: Model, part: Model) -> bool:
-    """Return whether a joint's law is worth its parameters, and explains much of what that joint's torque misses."""
+    """Return whether a joint's law is worth its parameters, and explains much of what a measured torque misses there."""
     contest, (gone,) = fitted.contest, set(model.members) - set(part.members)
     gained = (part.cost - model.cost) / overdispersion(contest, model.chi2) - penalty(contest, (gone,))
+    if isinstance(contest.case, BranchCase):
+        return gained >= FURTHER
     with_law, without = (_own_excess(fitted, m, gone) for m in (model, part))
     return gained >= FURTHER and without - with_law >= OWN * without
 
