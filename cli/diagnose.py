@@ -27,7 +27,7 @@ class Diagnose:
         out: Folder to write to.
         effects: Effects that may be tried; all that the case can show if not given.
         tolerance: Change of the motion, as a share of its rms, below which a missing effect is of no interest.
-        max_effects: Most effects that are named together; one law at many joints of an arm counts once.
+        max_effects: Most effects that are named together; one law at many joints of an arm or a branch counts once.
         seed: Seed of everything random.
         fit: Of joints measured directly: replay the motion that the efforts cause, or fit the torques that the motion
             needs; chosen by what was measured if not given.

@@ -60,7 +60,7 @@ FURTHER_SHARE, FURTHER_SHARE_TORQUE = 0.3, 0.1
 #: corrects that form must not be named. Half of the share suffices for an effect that explains `MOST` of the remaining
 #: excess, and any share for one that explains `NEARLY_ALL`: form errors are not corrected so well.
 WORTH, WORTH_JOINT, MOST, NEARLY_ALL = 0.1, 0.08, 0.88, 0.93
-#: Least share of a branch's excess that one law at two joints must explain to be named.
+#: Least share of a branch's excess that one law at two joints or more must explain to be named.
 TWICE = 0.97
 #: Least share of a further effect's gain that must remain on recordings that were left out of the fits, and what it may
 #: lose in one experiment left out, as a share of what it gains in the mean. Of 39 random pairs of the registry's laws

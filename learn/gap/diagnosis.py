@@ -32,7 +32,7 @@ class Settings:
     Attributes:
         effects: Names of candidate effects; empty for all that the case can show.
         tolerance: Change of the motion, as a share of its rms, below which a missing effect is of no interest.
-        max_effects: Most effects that are named together; one law at many joints of an arm counts once.
+        max_effects: Most effects that are named together; one law at many joints of an arm or a branch counts once.
         seed: Seed of all random numbers.
         particles: Particles of the joint posterior of base and effects; 0 uses the curvature at the fit instead.
         fit: Replay or torque for joints measured directly; None chooses, see `learn.replay.choice`.

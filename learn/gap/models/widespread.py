@@ -38,7 +38,7 @@ def widespread(fitted: FittedModels, most: int) -> list[Model]:
 
 
 def _laws(fitted: FittedModels) -> list[str]:
-    """Return the names of the leading models' laws, best first: of models with one effect, of a branch with more too."""
+    """Return the names of the leading models' laws, best first; of models with more effects for a branch alone."""
     if isinstance(fitted.contest.case, JointCase):
         return list(dict.fromkeys(fitted.names(m)[0] for m in fitted.of_size(1)))
     leading = sorted(fitted.models, key=fitted.criterion)
@@ -73,7 +73,7 @@ def _begun(fitted: FittedModels, members: Sequence[int]) -> Batch:
 
 
 def _pays(fitted: FittedModels, model: Model, part: Model) -> bool:
-    """Return whether a joint's law is worth its parameters, and explains much of what a measured torque misses there."""
+    """Return whether a joint's law is worth its parameters and, of torques, explains much of what is missing there."""
     contest, (gone,) = fitted.contest, set(model.members) - set(part.members)
     gained = (part.cost - model.cost) / overdispersion(contest, model.chi2) - penalty(contest, (gone,))
     if isinstance(contest.case, BranchCase):

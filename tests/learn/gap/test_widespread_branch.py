@@ -36,11 +36,11 @@ def write_grained(folder):
 def test_the_grain_of_a_whole_branch_is_one_name(tmp_path):
     """Name the grain at all three joints, though two effects are the most that are named, and leave noise alone.
 
-    A joint is as stiff about the axis across the grain as about the one along it where both parameters turn over:
-    1 + s about n is 1 / (1 + s) - 1 about the other axis of a spring 1 + s times as stiff.
+    Of a joint the ratio of its two stiffnesses is compared, since either of them may be the spring that is learnt. One
+    deviation of it is 2 to 4 % with this noise.
     """
     case = write_grained(tmp_path / "case")
-    laws = ("anisotropic_stiffness", "bilinear_stiffness", "cubic_stiffness")
+    laws = ("anisotropic_stiffness", "bilinear_stiffness")
     with one_thread():
         found = find_missing(case, Run(Settings(laws, particles=0)))
     assert found.verdict == "effects", found.sentence
