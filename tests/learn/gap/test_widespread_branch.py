@@ -27,7 +27,7 @@ def write_grained(folder):
         axis = np.array([np.cos(turn), np.sin(turn), 0.0])
         matrix = more * experiment.branch.stiffness[joint] * np.outer(axis, axis)
         parts.append(Part({}, joint, lambda joint=joint, matrix=matrix: Directed(joint, matrix)))
-    motion = drive(experiment.branch, experiment.forces, 25.0, parts=parts, clock=experiment.clock, sub=1, dt=2.5e-4)
+    motion = drive(experiment.branch, experiment.forces, 25.0, parts=parts, clock=experiment.clock, wood=0.0)
     tables, _ = experiment.noisy(readings(experiment, motion, parts), NOISE)
     write_case(folder, experiment, tables, NOISE, {})
     return load_case(folder)
