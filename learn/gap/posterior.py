@@ -109,7 +109,7 @@ def intervals(
         columns = zip(candidate.specs, candidate.columns, strict=True)
         for spec, k in ((s, k) for s, k in columns if fitted.active[0, k]):
             p, free = contest.parameters[k], float(fitted.free[0, k])
-            row = ends[p.name] if ends else (values[k], *_by_curvature(p, free, widths[k]))
+            row = ends[p.name] if ends else _by_curvature(p, values[k], free, widths[k])
             own[spec.name] = Interval(*row, p.unit, at_bound(p, free, row))
     return out
 
@@ -119,11 +119,11 @@ def _rows(posterior: Posterior) -> dict[str, tuple[float, float, float]]:
     return {n: (m, a, b) for n, m, a, b in zip(posterior.names, *columns, strict=True)}
 
 
-def _by_curvature(p: Parameter, free: float, spread: float) -> tuple[float, float]:
-    """Return the ends of an interval; beyond an end of the box there is nothing to be told."""
+def _by_curvature(p: Parameter, value: float, free: float, spread: float) -> tuple[float, float, float]:
+    """Return value and ends of an interval; beyond an end of the box there is nothing to be told."""
     ends = max(free - 1.96 * spread, p.free(p.low)), min(free + 1.96 * spread, p.free(p.high))
     low, high = (float(np.exp(x)) if p.scale == "log" else x for x in ends)
-    return low, high
+    return value, low, high
 
 
 def at_bound(p: Parameter, free: float, row: tuple[float, float, float]) -> Bound:
