@@ -15,7 +15,7 @@ from bough.learn.hidden.sizing import readings
 from bough.learn.runs.threads import one_thread
 
 #: Stiffness along the grain beside that across it, less one, and where about the segment, from the base.
-GRAIN = ((0.8, 0.4), (0.5, 1.6), (0.6, 2.5))
+GRAIN = ((0.6, 0.4), (1.0, 1.6), (1.2, 2.5))
 NOISE = 0.03
 
 
