@@ -258,10 +258,12 @@ def chosen(fitted: FittedModels, most: int) -> Model:
             break
         best = further[0]
     wide = [m for m in fitted.models if len(m.members) > most and len(set(fitted.names(m))) == 1]
-    widest = min(wide, key=fitted.criterion, default=best)
-    if isinstance(fitted.contest.case, BranchCase) and not known(fitted, widest):
+    if isinstance(fitted.contest.case, BranchCase):
+        wide = [m for m in wide if known(fitted, m)]
+    widest = min(wide, key=fitted.criterion, default=None)
+    if widest is None or fitted.criterion(best) - fitted.criterion(widest) <= FURTHER:
         return best
-    return widest if fitted.criterion(best) - fitted.criterion(widest) > FURTHER else best
+    return widest
 
 
 def alike(a: Acting, b: Acting) -> bool:
