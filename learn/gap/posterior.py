@@ -100,7 +100,7 @@ def intervals(
     if decision.verdict != "effects":
         return {}
     widths = {} if posterior is not None else _deviations(contest.rigid(), decision, fitted, train)
-    values = contest.values(fitted)[0].tolist()
+    values = [] if posterior is not None else contest.values(fitted)[0].tolist()
     ends = {} if posterior is None else _rows(posterior)
     out: Intervals = {}
     for c in decision.model.members:

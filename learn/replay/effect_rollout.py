@@ -17,6 +17,7 @@ from ...sim.base.rotation import quat_rotate
 from ...sim.base.types import Array
 from ...sim.effects import terms_of
 from ...sim.engine.arrays import LaneArray
+from ...sim.engine.model import Model
 from ..systems.acting import FIELD
 from ..systems.branch import BranchSystem
 from .midstep import driving
@@ -25,6 +26,11 @@ from .worlds import ReplayWorlds
 
 #: Time that laws which act by the clock have moved a branch before a recording in which it moves already [s].
 LEAD = 3.0
+
+
+def midway_arrays(model: Model) -> dict[str, LaneArray]:
+    """Return what the steps of a branch remember of each other, by its name in `kernels.tree.midway`."""
+    return {"before": model.field("Vec"), "gain": model.field("Vec"), "ahead": model.field("Quat")}
 
 
 class EffectArrays:
@@ -45,8 +51,8 @@ class EffectArrays:
             FIELD: m.field("Real", places=count * PARAMETERS * stride),
             "memory": m.field("Vec", places=max(1, vectors * stride)),
             "settle": m.field("Real", places=1),
-            **{name: m.field("Vec") for name in ("effort", "hold", "wind", "swirl", "centre", "end", "before", "gain")},
-            "ahead": m.field("Quat"),
+            **{name: m.field("Vec") for name in ("effort", "hold", "wind", "swirl", "centre", "end")},
+            **midway_arrays(m),
             **{name: m.field("Real") for name in ("damping", "area", "crown")},
         }
         self.kernel = effect_types(m.width, m.precision).Effects()

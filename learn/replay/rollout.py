@@ -15,7 +15,7 @@ from ...kernels.tree.rollout import rollout_kernels
 from ..cases.case import BranchCase, JointCase
 from ..systems.acting import FIELD
 from ..systems.branch import BranchSystem, Unknowns
-from .effect_rollout import EffectArrays, prepare
+from .effect_rollout import EffectArrays, midway_arrays, prepare
 from .midstep import Armature, driving
 from .recording import Recording
 from .worlds import ReplayWorlds
@@ -76,7 +76,7 @@ class Rollout(ReplayWorlds):
 
     def _midway(self) -> Any:
         """Return what the steps of a branch remember of each other, see `kernels.tree.midway`."""
-        self._between = {n: self.model.field("Quat" if n == "ahead" else "Vec") for n in ("before", "gain", "ahead")}
+        self._between = midway_arrays(self.model)
         out = midway_types(self.model.width, self.model.precision).Midway()
         for name, array in self._between.items():
             setattr(out, name, array.kernel)
