@@ -18,6 +18,7 @@ from typing import Any
 import warp as wp
 
 from ..lanes.algebra import add, add_cross, add_scaled, cross, div, dot, growth, mul, norm, rotate, sub, unrotate
+from ..lanes.inlined import inlined
 from ..lanes.real import SOURCE, fma, fnma, real, sqrt_, where_neg
 from ..tree.midway import set_out_from, to_sample, to_step
 from ..tree.observe import locate_links
@@ -412,7 +413,7 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
     lasting, holding, preceding, resting = (len(terms) + GROUPS.index(k) for k in marked)
     slip_row, delay_row = (memory_row(terms, max(0, slot)) for slot in (slip, delay))
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options=inlined())
     def point(
         m: Model, x_in_out: State, u_out: Load, fx: Effects, grasped: wp.array(dtype=int),
         grip: wp.array2d(dtype=wp.float64), first_of: wp.array(dtype=int), last_of: wp.array(dtype=int),
@@ -456,7 +457,7 @@ def _joint_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
     Model, State, Load, Scratch, Real, Vec = t.Model, t.State, t.Load, t.Scratch, t.Real, t.Vec
     Effects, ForceState = t.Effects, t.ForceState
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options=inlined())
     def joint(
         m: Model, x_in_out: State, u_out: Load, fx: Effects, driven: wp.array(dtype=int), hold: int,
         watched: wp.array(dtype=int), trajectory: wp.array(dtype=int), length: wp.array(dtype=int),

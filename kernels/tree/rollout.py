@@ -12,6 +12,7 @@ from typing import Any
 import warp as wp
 
 from ..lanes.algebra import add, add_cross, rotate
+from ..lanes.inlined import inlined
 from ..lanes.real import SOURCE, mul, real, sub
 from .articulated import SPHERICAL, advance_links, advance_loaded, fold_links_loaded, place_links, place_root
 from .midway import damper_midway, look_again, look_forward, midway_types, set_out_from, to_sample, to_step
@@ -182,7 +183,7 @@ def rollout_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
     t = midway_types(width, precision)
     Model, State, Load, Midway, Scratch, Real = t.Model, t.State, t.Load, t.Midway, t.Scratch, t.Real
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options=inlined())
     def point(
         m: Model, x_in_out: State, u_out: Load, mid_out: Midway, grasped: wp.array(dtype=int),
         trajectory: wp.array(dtype=int), length: wp.array(dtype=int), input_in: wp.array3d(dtype=wp.float64),
@@ -197,7 +198,7 @@ def rollout_kernels(width: int = 1, precision: int = 32) -> SimpleNamespace:
         replay_point(e, r, j, grasped[j], length[j], m, x_in_out, u_out, mid_out, input_in, s_out, substeps, h, bound,
                      output_out)  # fmt: skip
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options=inlined())
     def joint(
         m: Model, x_in_out: State, u_out: Load, driven: wp.array(dtype=int), hold: int, watched: wp.array(dtype=int),
         trajectory: wp.array(dtype=int), length: wp.array(dtype=int), input_in: wp.array3d(dtype=wp.float64),
