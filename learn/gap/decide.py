@@ -374,12 +374,15 @@ def _staircase(fitted: FittedModels, model: Model) -> bool:
 def breaks_untouched(fitted: FittedModels, model: Model) -> bool:
     """Return whether a branch breaks in a model where no gripper has closed: between recordings, or before a pull.
 
-    Springs that drift from recording to recording are followed by such a step.
+    Springs that drift from recording to recording are followed by such a step. A moment before the recordings is none:
+    bending alone breaks it.
     """
     contest = fitted.contest
     candidates = [contest.candidates[c] for c in model.members]
     breaking = [c for c in candidates if effect_of(c.name).law("branch").moment]
-    return any(not _pulled(contest.case, *_breaks(contest, model, c)) for c in breaking)
+    spans = [_breaks(contest, model, c) for c in breaking]
+    first = min((r.t_start for r in contest.case.trajectories), default=0.0)
+    return any(begin >= first and not _pulled(contest.case, begin, end) for begin, end in spans)
 
 
 def _breaks(contest: Contest, model: Model, candidate: Candidate) -> tuple[float, float]:

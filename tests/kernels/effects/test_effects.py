@@ -479,6 +479,29 @@ def test_rupture_softens_later_recordings(tmp_path, preload):
     assert (np.linalg.norm(sag) > 2e-3) == bool(preload)
 
 
+def test_rupture_grows_with_the_largest_bend(tmp_path):
+    """Rest as with K (1 - s x / (x + w)), x what the largest bend so far exceeds the limit by, in later recordings too.
+
+    A first push stays below the limit, a second breaks, a third is weaker, a fourth stronger than that.
+    """
+    share, limit, width, loads = 0.7, 0.04, 0.06, (0.3, 1.0, 0.6, 1.3)
+    case = stick_case(tmp_path / "c", [held(force=f * FORCE) for f in loads])
+    own = {"share": share, "moment_s": -1.0, "limit_rad": limit, "grows_rad": width}
+    out = stick(case, partial_rupture=own)
+    most = 0.0
+    for f, run in zip(loads, out, strict=True):
+
+        def spring(phi, most=most):
+            x = max(np.linalg.norm(phi), most) - limit
+            return -KS * (1.0 - share * max(x, 0.0) / (max(x, 0.0) + width)) * phi
+
+        expected = resting(case, spring, lambda R, f=f: f * FORCE)
+        np.testing.assert_allclose(settled(run), expected, atol=5e-4)
+        most = max(most, 2.0 * np.arcsin(np.linalg.norm(expected) / 0.8))
+        assert (most > limit) == (f > 0.5)
+    assert np.linalg.norm(settled(out[2]) - resting(case, lambda phi: -KS * phi, lambda R: 0.6 * FORCE)) > 5e-3
+
+
 def test_dry_friction_holds_a_stick_aside(tmp_path):
     """Lean until K phi + T = F r cos phi, stay at T / K when let go, and not lean below F r = T."""
     torque, lever = 0.5, 0.4

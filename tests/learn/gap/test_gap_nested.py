@@ -287,7 +287,7 @@ def test_a_break_need_not_be_foreseen(branch):
         truth = activated(contest, contest.base_batch(1), [(scale, broken)])
         truth.free[0, contest.candidates[scale].columns[0]] = 0.1
         columns = list(contest.candidates[broken].columns)
-        truth.free[0, columns] = torch.tensor([math.log(size or 0.02), moment, 1.0, math.log(0.05)]).double()
+        truth.free[0, columns] = torch.tensor([size or 0.02, moment, 1.0, math.log(0.05), 0.0, 0.0]).double()
         single = truth.copy()
         single.active[:, columns] = False
         held = truth if size else single
