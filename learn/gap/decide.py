@@ -380,9 +380,7 @@ def breaks_untouched(fitted: FittedModels, model: Model) -> bool:
     contest = fitted.contest
     candidates = [contest.candidates[c] for c in model.members]
     breaking = [c for c in candidates if effect_of(c.name).law("branch").moment]
-    spans = [_breaks(contest, model, c) for c in breaking]
-    first = min((r.t_start for r in contest.case.trajectories), default=0.0)
-    return any(begin >= first and not _pulled(contest.case, begin, end) for begin, end in spans)
+    return any(not _pulled(contest.case, *_breaks(contest, model, c)) for c in breaking)
 
 
 def _breaks(contest: Contest, model: Model, candidate: Candidate) -> tuple[float, float]:
@@ -394,10 +392,14 @@ def _breaks(contest: Contest, model: Model, candidate: Candidate) -> tuple[float
 
 
 def _pulled(case: BranchCase | JointCase, begin: float, end: float) -> bool:
-    """Return whether a recording has been pulled at, and goes on, at some moment between two [s]."""
+    """Return whether a recording has been pulled at, and goes on, at some moment between two [s].
+
+    True of moments before the recordings, which say that what bends it breaks it.
+    """
     assert isinstance(case, BranchCase)
     held = [t for t in case.trajectories if not t.no_contact.all()]
-    return any(t.t_start + t.t[~t.no_contact][0] <= end and begin <= t.t_start + t.t[-1] for t in held)
+    pulled = any(t.t_start + t.t[~t.no_contact][0] <= end and begin <= t.t_start + t.t[-1] for t in held)
+    return pulled or begin < min(t.t_start for t in case.trajectories)
 
 
 def stretched(fitted: FittedModels, model: Model) -> tuple[int, ...]:

@@ -394,13 +394,15 @@ def test_of_twist_a_share_plays(tmp_path, twist):
     np.testing.assert_allclose(settled(stick(case, **on)[0]), expected, atol=3e-4)
 
 
-@pytest.mark.parametrize("tared", [0.0, 1.0])
-def test_gravity_comp_error_by_hand(tmp_path, tared):
-    """Rest under the reading less dm (g - k R g), R from the rest pose."""
+@pytest.mark.parametrize(
+    ("tared", "left", "taken"), [(0.0, 1.0, 0.0), (1.0, 1.0, 1.0), (1.4, 0.6, 1.0), (2.0, 0.0, 1.0)]
+)
+def test_gravity_comp_error_by_hand(tmp_path, tared, left, taken):
+    """Rest under the reading less dm (l g - k R g), R from the rest pose; of 2 what was tared alone turns with R."""
     case, dm = stick_case(tmp_path / "c", [held(force=2 * FORCE)]), 0.3
     g = np.array([0.0, 0.0, -9.81])
     out = settled(stick(case, gravity_comp_error={"mass_kg": dm, "tared": tared})[0])
-    expected = resting(case, lambda phi: -KS * phi, lambda R: 2 * FORCE - dm * (g - tared * R.apply(g)))
+    expected = resting(case, lambda phi: -KS * phi, lambda R: 2 * FORCE - dm * (left * g - taken * R.apply(g)))
     plain = resting(case, lambda phi: -KS * phi, lambda R: 2 * FORCE)
     assert np.linalg.norm(expected - plain) > 1e-3
     np.testing.assert_allclose(out, expected, atol=1e-4)
