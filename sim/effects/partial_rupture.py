@@ -68,7 +68,7 @@ def _by_bending(name: str, most: float) -> EffectParameter:
 EFFECT = register(
     Effect(
         name="partial_rupture",
-        plain="a partial break (it is softer from one moment on)",
+        plain="a partial break (it has become softer for good)",
         summary="from a moment on the absolute clock on, the spring has lost a share s of its stiffness for good, and"
         " as much of the preload that carries the branch's weight, or the share c of that, so that the branch sags;"
         " little by little over a time d, 0.05 s at least; of that share so much as bending has broken, x / (x + w), x"
