@@ -176,7 +176,14 @@ def test_a_break_in_the_recording_held_out_is_fitted_and_another_is_held_out(tmp
     """
     rng = np.random.default_rng(5)
     truth = {"stiffness": np.array([30.0]), "damping": np.array([0.6])}
-    values = {"share": 0.3, "moment_s": 3 * (110 / 50 + 5.0) + 0.4, "preload": 1.0, "takes_s": 0.05}
+    values = {
+        "share": 0.3,
+        "moment_s": 3 * (110 / 50 + 5.0) + 0.4,
+        "preload": 1.0,
+        "takes_s": 0.05,
+        "limit_rad": 0.0,
+        "grows_rad": 0.0,
+    }
     broken = Acting("partial_rupture", 0, values)
     case = write_simulated_case(tmp_path / "case", random_branch(rng, 1), truth, Experiment(), trajectories=4, seed=2,
                                 unknowns=Unknowns(effects=(broken,)))  # fmt: skip
