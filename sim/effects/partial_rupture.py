@@ -12,8 +12,6 @@ from .registry import Effect, EffectParameter, Law, Setting, register
 BREAKING = wp.constant(wp.float64(0.05))
 #: Longest time of a break that is named [s]: what takes longer is a drift.
 LONGEST = 0.6
-
-
 #: How long before the recordings a moment may lie [s]: longer than a break takes.
 BEFORE = 1.0
 #: Least bend that tells a break by bending from one by the clock alone [rad].
@@ -56,7 +54,7 @@ def bent(s: Setting) -> list[tuple[float, ...]]:
     """Return breaks that bending alone makes: a share, its limit and its width, with the preload or without it."""
     before = s.start - BEFORE
     sizes = ((0.4, 0.5, 0.1), (0.8, 0.3, 0.5), (0.8, 0.6, 0.5))
-    return [(share, before, load, 0.05, limit * s.angle, width * s.angle)
+    return [(share, before, load, float(BREAKING), limit * s.angle, width * s.angle)
             for share, limit, width in sizes for load in (0.0, 1.0)]  # fmt: skip
 
 
@@ -94,11 +92,11 @@ EFFECT = register(
                 EffectParameter(
                     "takes_s",
                     "s",
-                    0.05,
+                    float(BREAKING),
                     LONGEST,
-                    neutral=0.05,
+                    neutral=float(BREAKING),
                     scale="log",
-                    tries=lambda s: [0.05],
+                    tries=lambda s: [float(BREAKING)],
                     optional=True,
                 ),
                 _by_bending("limit_rad", 1.0),
