@@ -69,10 +69,18 @@ def slipping(j: Any, p: Any, size: Any, y: Any, x: Any, r: Any):
 
 
 @wp.func
+def pressing(j: Any, p: Any):
+    """T + mu |K phi - P|: friction with what the spring carries, P the preload."""
+    return fma(p.g, norm(j.angle * j.stiffness - j.preload), p.a)
+
+
+@wp.func
 def dry_friction(j: Any, p: Any, r: Any):
-    """Friction in a branch, of which the bend may be as small as float32 tells apart."""
+    """Friction in a branch, of which the bend may be as small as float32 tells apart; its slope is mu K at most."""
     least = real(LEAST_BEND, p.a)
-    return slipping(j, p, p.a, where_neg(p.b - least, least, p.b), norm(j.rate) / changing(p), r)
+    y = where_neg(p.b - least, least, p.b)
+    out = slipping(j, p, pressing(j, p), y, norm(j.rate) / changing(p), r)
+    return type(r)(out.torque, out.memory, fma(p.g, j.stiffness, out.stiffness), out.damping)
 
 
 @wp.func
@@ -80,7 +88,7 @@ def dry_friction_holds(j: Any, p: Any, r: Any):
     """Up to what there is of it at rest, T (1 + s), bent as far as that takes."""
     least = real(LEAST_BEND, p.a)
     y = where_neg(p.b - least, least, p.b)
-    return held(r, p.a * (real(1.0, p.a) + p.d) / y, y)
+    return held(r, pressing(j, p) * (real(1.0, p.a) + p.d) / y, y)
 
 
 @wp.func
@@ -120,14 +128,16 @@ _STRIBECK_RATE = EffectParameter(
 #: What a joint does as it turns back is measured itself, and not from far away through springs. What changes with the
 #: rate beyond a tenth of the highest one is drag.
 _STRIBECK_AT_JOINT = replace(_STRIBECK_RATE, low=0.0, high=lambda s: 0.1 * s.rate, neutral=0.0, scale="linear")
-#: What presses on what rubs may be what drives the joint, as in the teeth of a gear.
+#: What presses on what rubs may be what drives the joint, as in the teeth of a gear, or what the spring carries.
 _LOAD = EffectParameter("load", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True)
 
 
-def _creeping(s: Setting) -> Sequence[tuple[float, ...]]:
-    """Friction that vanishes at rest."""
+def _further(s: Setting) -> Sequence[tuple[float, ...]]:
+    """Friction that vanishes at rest, and friction that the load makes."""
     torques, rates = [t * s.torque for t in (0.03, 0.2, 1.0)], [v * s.rate for v in (0.05, 0.4)]
-    return list(product(torques, [5e-4], [0.0], [-1.0], rates, [0.0]))
+    creeping = product(torques, [5e-4], [0.0], [-1.0], rates, [0.0], [0.0])
+    loaded = product([0.01 * s.torque], [5e-4], [0.0], [0.0], [1.0], [0.0], [0.05, 0.25])
+    return [*creeping, *loaded]
 
 
 EFFECT = register(
@@ -137,8 +147,9 @@ EFFECT = register(
         summary="a torque of constant size T against the rate; at rest what holds, up to T (it bends by y first,"
         " and from g = 0 to 1 comes ever more gradually to slip); it may be larger while it hardly moves,"
         " T (1 + s exp(-|w| / v)), of a measured joint T (1 + s exp(-(w / v)^2)), or smaller and creep there (s < 0);"
-        " in a branch it may begin each recording with the share k of the bend that the one before left; of a measured"
-        " joint T may grow with the load, by mu |u| where an effort u drives it",
+        " in a branch it may begin each recording with the share k of the bend that the one before left; T may grow"
+        " with the load, in a branch by mu |K phi - P| with what the spring carries, P the preload, of a measured joint"
+        " by mu |u| where an effort u drives it",
         source="Coulomb 1785; elastic before it slips, and gradual, as in Dahl 1968, Aerospace TOR-158; growing towards"
         " rest as in Tustin 1947, J. IEE 94:143, and Armstrong-Helouvry, Dupont & Canudas de Wit 1994, Automatica"
         " 30:1083; growing with the load as in Hamon, Gautier & Garrec 2010, IROS",
@@ -147,13 +158,13 @@ EFFECT = register(
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
         branch=Law(
             "joint",
-            (_TORQUE, _BEND, _GRADUAL, _STRIBECK, _STRIBECK_RATE, kept_share(0.0)),
+            (_TORQUE, _BEND, _GRADUAL, _STRIBECK, _STRIBECK_RATE, kept_share(0.0), _LOAD),
             dry_friction,
             memory=1,
             persistent=True,
             keeps="kept",
             holds=dry_friction_holds,
-            further=_creeping,
+            further=_further,
         ),
         joint=Law(
             "joint",

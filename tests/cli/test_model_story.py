@@ -15,7 +15,15 @@ from bough.learn.systems.model_file import BranchModel, write_model
 from oracles.oscillator import write_case
 
 SPRING, DAMPER = 40.0, 0.5
-FRICTION = {"torque_Nm": 0.5, "bend_rad": 0.001, "gradual": 0.0, "stribeck": -0.5, "stribeck_radps": 0.2, "kept": 0.5}
+FRICTION = {
+    "torque_Nm": 0.5,
+    "bend_rad": 0.001,
+    "gradual": 0.0,
+    "stribeck": -0.5,
+    "stribeck_radps": 0.2,
+    "kept": 0.5,
+    "load": 0.02,
+}
 MASS = {"mass_kg": 0.15, "aside_x_m": 0.02, "aside_y_m": 0.0}
 EFFECTS = (
     Acting("dry_friction", 0, FRICTION),

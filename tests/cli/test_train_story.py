@@ -84,13 +84,14 @@ def test_a_run_among_branches_with_effects(bough, tmp_path):
     expected = [["tip_mass", "mass_kg", 0.08], ["tip_mass", "aside_x_m", 0.0], ["tip_mass", "aside_y_m", 0.0],
                 ["dry_friction", "torque_Nm", 0.21 / spring],
                 *(["dry_friction", *rest] for rest in (["bend_rad", 5e-4], ["gradual", 0.0], ["stribeck", 0.0],
-                                                       ["stribeck_radps", 1.0], ["kept", 0.0]))]  # fmt: skip
+                                                       ["stribeck_radps", 1.0], ["kept", 0.0],
+                                                       ["load", 0.0]))]  # fmt: skip
     given = settings(out)["scene"]["effects"]
     assert [row for row in given if row[0] not in OTHERS] == expected
     rest = {(name, key): value for name, key, value in given if name in OTHERS}
     assert rest == {(name, key): value for name in OTHERS for key, value in whole(name).items()}
     report = (out / "report.html").read_text()
-    rest = "bend_rad 0.0005, gradual 0, stribeck 0, stribeck_radps 1, kept 0"
+    rest = "bend_rad 0.0005, gradual 0, stribeck 0, stribeck_radps 1, kept 0, load 0"
     friction = f"dry_friction (torque_Nm over its spring {0.21 / spring:.3g}, {rest})"
     assert f"tip_mass (mass_kg 0.08, aside_x_m 0, aside_y_m 0), {friction}" in report
     done = bough("evaluate", out, "--sets", 1, "--worlds", 8, "--device", "cpu", "--json")

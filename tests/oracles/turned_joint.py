@@ -11,29 +11,32 @@ _JointState, _Response, _Parameters, _Vec = _T.JointState, _T.Response, _T.Param
 def turner(law):
     """Return ``turned(path, *parameters)``: the torque [samples, 3] along a path from rest at zero, for K = 1.
 
-    A step of 1 s from one place to the next. The damper that a law leaves to the simulator is added.
+    A step of 1 s from one place to the next. The damper that a law leaves to the simulator is added; ``preload`` is the
+    torque that carries a weight.
     """
 
     @wp.kernel(module="unique")
     def turn(
-        path_in: wp.array(dtype=wp.vec3), a: float, b: float, c: float, d: float, e: float, f: float,
-        torque_out: wp.array(dtype=wp.vec3),
+        path_in: wp.array(dtype=wp.vec3), a: float, b: float, c: float, d: float, e: float, f: float, g: float,
+        preload: wp.vec3, torque_out: wp.array(dtype=wp.vec3),
     ):  # fmt: skip
         none, z = _Vec(0.0, 0.0, 0.0), _Vec(0.0, 0.0, 0.0)
+        carries = _Vec(preload[0], preload[1], preload[2])
         for k in range(path_in.shape[0]):
             rate = path_in[k]
+            place = _Vec(rate[0], rate[1], rate[2])
             if k > 0:
                 rate = path_in[k] - path_in[k - 1]
-            j = _JointState(none, _Vec(rate[0], rate[1], rate[2]), none, none, 1.0, 0.0, 1.0)
-            r = law(j, _Parameters(a, b, c, d, e, f, 0.0, 0.0, 0.0), _Response(none, z, 0.0, 0.0))
+            j = _JointState(place, _Vec(rate[0], rate[1], rate[2]), carries, none, 1.0, 0.0, 1.0)
+            r = law(j, _Parameters(a, b, c, d, e, f, g, 0.0, 0.0), _Response(none, z, 0.0, 0.0))
             z = r.memory
             torque_out[k] = wp.vec3(r.torque.x, r.torque.y, r.torque.z) - r.damping * rate
 
-    def turned(path, *parameters):
+    def turned(path, *parameters, preload=(0.0, 0.0, 0.0)):
         given = wp.array(path, dtype=wp.vec3, device="cpu")
         out = wp.full(len(path), wp.vec3(np.nan, np.nan, np.nan), dtype=wp.vec3, device="cpu")
-        rest = [0.0] * (6 - len(parameters))
-        wp.launch(turn, dim=1, inputs=[given, *parameters, *rest], outputs=[out], device="cpu")
+        rest = [0.0] * (7 - len(parameters))
+        wp.launch(turn, dim=1, inputs=[given, *parameters, *rest, wp.vec3(*preload)], outputs=[out], device="cpu")
         return out.numpy()
 
     return turned

@@ -65,3 +65,15 @@ def test_at_rest_it_may_creep():
     path[20:, 0] = 5 * Y
     assert np.abs(along_path(path, 1.0, Y, 0.0, -1.0, 1e-3)[21:]).max() == 0.0
     np.testing.assert_allclose(along_path(path, 1.0, Y, 0.0, 0.0, 1e-3)[21:, 0], -1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("preload", [0.0, -0.4])
+def test_it_grows_with_what_the_spring_carries(preload):
+    """Turn far out along an oblique axis and back: T + mu |K phi - P| against the turn, where it slips; K = 1."""
+    along, size, grows = np.array([0.6, -0.64, 0.48]), 0.3, 0.2
+    there = np.linspace(0, 1, STEPS)
+    path = np.concatenate([there, there[::-1]])
+    out = along_path(path[:, None] * along, size, Y, 0.0, 0.0, 1.0, 0.0, grows, preload=preload * along) @ along
+    slips = np.concatenate([abs(there - 0.5) < 0.4, abs(there[::-1] - 0.5) < 0.4])
+    expected = -np.sign(np.gradient(path)) * (size + grows * np.abs(path - preload))
+    np.testing.assert_allclose(out[slips], expected[slips], atol=1e-4)

@@ -17,7 +17,15 @@ from bough.learn.systems.model_file import BranchModel, check_fits, read_model, 
 from bough.sim.base.errors import InputError
 from oracles.effect_case import stick_case
 
-FRICTION = {"torque_Nm": 0.3, "bend_rad": 0.002, "gradual": 0.5, "stribeck": -0.4, "stribeck_radps": 0.7, "kept": 0.6}
+FRICTION = {
+    "torque_Nm": 0.3,
+    "bend_rad": 0.002,
+    "gradual": 0.5,
+    "stribeck": -0.4,
+    "stribeck_radps": 0.7,
+    "kept": 0.6,
+    "load": 0.1,
+}
 MASS = {"mass_kg": 0.1, "aside_x_m": 0.01, "aside_y_m": -0.02}
 EFFECTS = (Acting("dry_friction", 0, FRICTION), Acting("tip_mass", None, MASS))
 MODEL = BranchModel("found", ("stick",), np.array([20.0]), np.array([1 / 3]), EFFECTS)
