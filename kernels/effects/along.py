@@ -44,7 +44,7 @@ def joint_law_kernel(law: Any, memory: int) -> Any:
         p = Parameters(
             real(value_in[0], o), real(value_in[1], o), real(value_in[2], o), real(value_in[3], o),
             real(value_in[4], o), real(value_in[5], o), real(value_in[6], o), real(value_in[7], o),
-            real(value_in[8], o),
+            real(value_in[8], o), real(value_in[9], o),
         )  # fmt: skip
         for k in range(angle_in.shape[1]):
             q = angle_in[m, k]
@@ -86,14 +86,14 @@ def link_law_kernel(law: Any) -> Any:
         p = Parameters(
             real(value_in[0], o), real(value_in[1], o), real(value_in[2], o), real(value_in[3], o),
             real(value_in[4], o), real(value_in[5], o), real(value_in[6], o), real(value_in[7], o),
-            real(value_in[8], o),
+            real(value_in[8], o), real(value_in[9], o),
         )  # fmt: skip
         upright = Quat(real(wp.float64(1.0), o), o, o, o)
         for k in range(velocity_in.shape[1]):
             v = velocity_in[m, k]
             b = LinkState(
                 Vec(real(v[0], o), real(v[1], o), real(v[2], o)), Vec(o, o, real(ARM, o)), upright, real(area, o),
-                real(area, o), real(wp.float64(k) * step, o),
+                real(area, o), real(wp.float64(k) * step, o), Vec(o, o, o),
             )  # fmt: skip
             f = law(b, p)
             force_out[m, k] = wp.vec3d(lane(f.x, 0), lane(f.y, 0), lane(f.z, 0))

@@ -8,7 +8,8 @@ A point of a link is pushed by the force F that the sensor's laws make of what i
     x = x_link + R (p + c z u) - x_start,   v = v_link + w x R (p + c z u) + c z' R u
 
 p the grasp point, u the segment's direction, z how far the grip has slid, c the share of that which the tracker sees. A
-law's time is the recording's own.
+law's time is the recording's own. Where a recording has a course of gusts, their pressure over its rms at every sample
+from ``lead`` before the first, laws at links see that, linear between samples.
 """
 
 from functools import cache
@@ -299,11 +300,23 @@ def set_out(
 
 
 @wp.func
+def blow_on(
+    e: int, j: int, k: int, step: int, substeps: int, fx: Any, course_in: wp.array3d(dtype=wp.float64), like: Any
+):  # fmt: skip
+    """Take over the course of recording j's gusts in the middle of a step after its entry k, if it has one."""
+    if k + 1 < course_in.shape[1]:
+        share = (wp.float64(step) + wp.float64(0.5)) / wp.float64(substeps)
+        x = course_in[j, k, 0] + share * (course_in[j, k + 1, 0] - course_in[j, k, 0])
+        y = course_in[j, k, 1] + share * (course_in[j, k + 1, 1] - course_in[j, k, 1])
+        fx.course[e, 0] = type(like)(real(x, like.x), real(y, like.x), real(0.0, like.x))
+
+
+@wp.func
 def replay_samples(
     e: int, row: int, j: int, place: int, n: int, written: int, at: Slots, m: Any, x: Any, u: Any, fx: Any, s: Any,
-    grip: wp.array2d(dtype=wp.float64), input_in: wp.array3d(dtype=wp.float64), lead: int, begin: wp.float64,
-    substeps: int, h: wp.float64, bound: wp.float64, start: Any, like: Any, track: int, output_out: Any,
-    coordinate_out: Any,
+    grip: wp.array2d(dtype=wp.float64), input_in: wp.array3d(dtype=wp.float64),
+    course_in: wp.array3d(dtype=wp.float64), lead: int, begin: wp.float64, substeps: int, h: wp.float64,
+    bound: wp.float64, start: Any, like: Any, track: int, output_out: Any, coordinate_out: Any,
     advance: wp.Function, law: wp.Function,
 ):  # fmt: skip
     """Push a link as recording j says, from where it begins; ``like`` is the `ForceState` there.
@@ -340,6 +353,7 @@ def replay_samples(
                         far = slid(e, at, fx, force, axis, grip, j, real(h, nominal.x))
                         u.point[e, place] = add_scaled(nominal, along, far)
                 since = wp.float64(k * substeps + step) * h
+                blow_on(e, j, k + lead, step, substeps, fx, course_in, start)
                 advance(e, row, m, x, u, fx, s, h, begin + since, bound, MOVING, h)
 
 
@@ -419,8 +433,9 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
         grip: wp.array2d(dtype=wp.float64), first_of: wp.array(dtype=int), last_of: wp.array(dtype=int),
         length: wp.array(dtype=int), begins: wp.array(dtype=wp.float64), offset: wp.array(dtype=int),
         lead: wp.array(dtype=int),
-        input_in: wp.array3d(dtype=wp.float64), s_out: Scratch, first: int, row: int, substeps: int, h: wp.float64,
-        bound: wp.float64, output_out: wp.array2d(dtype=Real), track: int, coordinate_out: wp.array2d(dtype=Quat),
+        input_in: wp.array3d(dtype=wp.float64), course_in: wp.array3d(dtype=wp.float64), s_out: Scratch, first: int,
+        row: int, substeps: int, h: wp.float64, bound: wp.float64, output_out: wp.array2d(dtype=Real), track: int,
+        coordinate_out: wp.array2d(dtype=Quat),
     ):  # fmt: skip
         """Replay a group's recordings ``first_of`` to ``last_of`` - 1 in turn: push the link, write its motion."""
         tag = SOURCE  # noqa: F841
@@ -436,6 +451,7 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
             rested = wp.float64(0.0)
             if j > first_of[e]:
                 rested = begins[j] - begins[j - 1] - h * wp.float64((length[j - 1] - 1) * substeps)
+            blow_on(e, j, 0, 0, 1, fx, course_in, nominal)
             start, calm = set_out(e, r, j, place, j == first_of[e], at, m, x_in_out, u_out, fx, s_out, grip, nominal,
                                   begins[j], rested, bound, advance, hold)  # fmt: skip
             zero = nominal - nominal
@@ -444,8 +460,8 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
             like = ForceState(zero, zero.x, calm, calm, zero - s_out.accel0[r, 0], opened, heading,
                               real(begins[j], zero.x))  # fmt: skip
             replay_samples(e, r, j, place, length[j], offset[j], at, m, x_in_out, u_out, fx, s_out, grip, input_in,
-                           lead[j], begins[j], substeps, h, bound, start, like, track, output_out, coordinate_out,
-                           advance, law)  # fmt: skip
+                           course_in, lead[j], begins[j], substeps, h, bound, start, like, track, output_out,
+                           coordinate_out, advance, law)  # fmt: skip
 
     return point
 

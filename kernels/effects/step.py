@@ -100,6 +100,7 @@ def term_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         effort: wp.array2d(dtype=Vec)
         wind: wp.array2d(dtype=Vec)
         swirl: wp.array2d(dtype=Vec)
+        course: wp.array2d(dtype=Vec)
 
     return SimpleNamespace(**vars(t), Scalar=Scalar, Terms=Terms)
 

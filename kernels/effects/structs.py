@@ -11,7 +11,7 @@ from ..tree.layout import layout_of
 __all__ = ["PARAMETERS", "effect_types", "law_types"]
 
 #: Parameters that a term may have.
-PARAMETERS = 9
+PARAMETERS = 10
 
 
 @cache
@@ -33,6 +33,7 @@ def law_types(width: int, precision: int) -> SimpleNamespace:
         g: Real
         h: Real
         i: Real
+        j: Real
 
     @wp.struct
     class JointState:
@@ -86,7 +87,7 @@ def _outer_law_types(Real: Any, Vec: Any, Quat: Any) -> SimpleNamespace:
 
     @wp.struct
     class LinkState:
-        """What a law at a link sees."""
+        """What a law at a link sees; ``course`` is the pressure of gusts over their rms, where a course is known."""
 
         velocity: Vec
         arm: Vec
@@ -94,6 +95,7 @@ def _outer_law_types(Real: Any, Vec: Any, Quat: Any) -> SimpleNamespace:
         area: Real
         crown: Real
         time: Real
+        course: Vec
 
     @wp.struct
     class Wrench:
@@ -135,6 +137,7 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         hold: wp.array2d(dtype=Vec)
         wind: wp.array2d(dtype=Vec)
         swirl: wp.array2d(dtype=Vec)
+        course: wp.array2d(dtype=Vec)
         before: wp.array2d(dtype=Vec)
         gain: wp.array2d(dtype=Vec)
         ahead: wp.array2d(dtype=Quat)

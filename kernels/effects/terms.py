@@ -8,7 +8,8 @@ ones it is built with; the plain step (`articulated`) knows nothing of them.
            memory, stiffness beyond the joint's spring [N m/rad], damping [N m s/rad]; torque is without the damper's.
            A law that remembers two vectors gets a `LongResponse`, with ``second`` after ``memory``
 ``link``   ``law(b, p)`` takes a `LinkState` (``velocity`` of a point [m/s] and ``arm`` from the joint to it [m], world
-           axes; ``turn`` of the link; ``area``, ``crown`` [m^2], ``time`` [s]) and returns the force there, world
+           axes; ``turn`` of the link; ``area``, ``crown`` [m^2], ``time`` [s]; ``course``, the pressure of gusts over
+           their rms at this moment, world axes, zero where no course is known) and returns the force there, world
            axes [N]. It is asked at two points with half of the link's area each, so that a link that turns feels what
            its length does, and at the end of a link that carries no other with the area of the whole tree, divided
            among such ends, as ``crown``, for what a crown feels there (`strips_of`)
@@ -16,7 +17,7 @@ ones it is built with; the plain step (`articulated`) knows nothing of them.
            ``opened`` is what it reads of an open gripper in the same recording [N], ``heading`` the level unit vector
            that the gripper faces, each zero where it is not known; ``time`` [s], zero at joints measured directly
 
-``p`` holds up to nine parameters, ``p.a`` to ``p.i``, in the order in which the effect lists them. A ball joint's angle
+``p`` holds up to ten parameters, ``p.a`` to ``p.j``, in the order in which the effect lists them. A ball joint's angle
 is its rotation vector from rest and its rate the angular velocity, both in the link's frame; other joints use x alone.
 
 Worlds of a group whose parameters of a term are all neutral skip it (``active``), so that a kernel with every law in it
@@ -159,13 +160,13 @@ def reader(term: Term, types: SimpleNamespace, key: str) -> Any:
     first, own, Parameters = term.slot * PARAMETERS, int(term.per_joint), types.Parameters
 
     def read(e: int, i: int, fx: Any):
-        """Return the term's parameters a to i in group e, those of joint or link i where each has its own."""
+        """Return the term's parameters a to j in group e, those of joint or link i where each has its own."""
         k = first * fx.stride + i * own
         n = fx.stride
         return Parameters(
             fx.parameter[e, k], fx.parameter[e, k + n], fx.parameter[e, k + 2 * n], fx.parameter[e, k + 3 * n],
             fx.parameter[e, k + 4 * n], fx.parameter[e, k + 5 * n], fx.parameter[e, k + 6 * n],
-            fx.parameter[e, k + 7 * n], fx.parameter[e, k + 8 * n],
+            fx.parameter[e, k + 7 * n], fx.parameter[e, k + 8 * n], fx.parameter[e, k + 9 * n],
         )  # fmt: skip
 
     return function_of(read, term, f"read{key}")
@@ -304,17 +305,19 @@ def strips_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str, crowned
         middle = rotate(pose, fx.centre[e, i])
         velocity = centre_velocity(e, row, i, m, s, middle)
         half = fx.area[e, i] * real(0.5, time)
+        course = fx.course[e, 0]
         away = middle * real(STRIP, time)
         spin = s.spin[row, i]
         o = real(0.0, time)
-        far = LinkState(add_cross(velocity, spin, away), middle + away, pose, half, o, time)
-        near = LinkState(add_cross(velocity, away, spin), middle - away, pose, half, o, time)
+        far = LinkState(add_cross(velocity, spin, away), middle + away, pose, half, o, time, course)
+        near = LinkState(add_cross(velocity, away, spin), middle - away, pose, half, o, time, course)
         outer = law(e, i, fx, far)
         inner = law(e, i, fx, near)
         sofar = Wrench(outer + inner, add_cross(cross(far.arm, outer), near.arm, inner))
         for _ in range(fx.leaf[e, i] * fx.active[e, wp.static(crowned)]):
             end = rotate(pose, fx.end[e, i])
-            hung = law(e, i, fx, LinkState(add_cross(velocity, spin, end - middle), end, pose, o, fx.crown[e, i], time))
+            moves = add_cross(velocity, spin, end - middle)
+            hung = law(e, i, fx, LinkState(moves, end, pose, o, fx.crown[e, i], time, course))
             sofar = Wrench(sofar.force + hung, add_cross(sofar.moment, end, hung))
         return sofar
 

@@ -35,6 +35,8 @@ from .schema import (
 
 BRANCH_COLUMNS = ("t_s", "fx_N", "fy_N", "fz_N", "x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps")
 MAX_FORCE = 1e5
+#: Time that what acts by the clock has moved a branch before a recording in which it moves already [s].
+LEAD = 3.0
 """Largest force component believed [N]."""
 
 
@@ -68,6 +70,8 @@ class BranchTrajectory(Trajectory):
         direction: Direction of the profile, shape [3], or None.
         grasp_segment: Index of the segment held in this recording.
         grasp_distance: Distance of the grasp point from that segment's lower end [m].
+        course: Pressure of gusts over its rms, along x and y, at every sample from `BranchCase.lead` before the first,
+            shape [lead + T, 2], where a model has one for this recording; else None.
     """
 
     force: Array
@@ -78,6 +82,7 @@ class BranchTrajectory(Trajectory):
     direction: Array | None
     grasp_segment: int
     grasp_distance: float
+    course: Array | None = None
 
     @property
     def grasp(self) -> tuple[int, Array]:
@@ -127,6 +132,11 @@ class BranchCase(MeasuredBranch):
     trunk_pivot_below_base: float | None
     warnings: tuple[str, ...]
     velocity_measured: bool = True
+
+    @property
+    def lead(self) -> int:
+        """Samples for which what acts by the clock acts before a recording that begins in motion."""
+        return round(LEAD / self.dt)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from dataclasses import replace
 from ...sim.effects import effect_of
 from ..inference.report import spoken
 from ..replay.equation_error import fits_torque
+from ..systems.model_file import BranchModel
 from .decide import probe_for, within_noise
 from .diagnosis import Diagnosis, joints_of, together
 from .evidence import ALARM, LACK, lack_of
@@ -363,8 +364,17 @@ def _effects(d: Diagnosis) -> str:
                 f" mountings that may be a little wrong; as written, with the file's geometry, the model has a"
                 f" {error_name(d)} of {_gap(d, d.gap.repaired)} ({d.gap.base:.3g} before, noise floor"
                 f" {d.gap.noise_floor:.3g}).")  # fmt: skip
+    if read_off(d):
+        return (f"The model lacks {_named(d)}: of another course in each recording, which was read off those held out"
+                f" too, they leave {_gap(d, d.gap.repaired)} of {d.gap.base:.3g} there (noise floor"
+                f" {d.gap.noise_floor:.3g}{left}).")  # fmt: skip
     return (f"The model lacks {_named(d)}: {adding} reduces the {error_name(d)} from {d.gap.base:.3g} to"
             f" {_gap(d, d.gap.repaired)} (noise floor {d.gap.noise_floor:.3g}{left}).")  # fmt: skip
+
+
+def read_off(found: Diagnosis) -> bool:
+    """Return whether what is named follows courses that were read off the recordings themselves."""
+    return isinstance(found.model, BranchModel) and bool(found.model.courses)
 
 
 def error_name(found: Diagnosis) -> str:

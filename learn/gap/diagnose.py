@@ -15,6 +15,7 @@ from ..runs.threads import one_thread
 from .decide import decide
 from .diagnosis import Diagnosis, Settings
 from .evidence import bootstrap_test
+from .gusts.verdict import blown
 from .models.candidates import names_for
 from .models.idle import lean
 from .models.unclaimed import unclaimed
@@ -56,7 +57,7 @@ def _judged(choice: Choice, run: Run) -> Diagnosis:
         if searched is None:
             evidence = bootstrap_test(base, run)  # a scan of all candidates, and the p-value of the best
             searched = search(base, evidence, run)  # joint refits of all candidates, then further effects
-        models, contest = searched.fitted, base.contest
+        models = searched.fitted
         with run.timed("evidence"):
             decision = decide(base, searched, run.settings)  # none, effects by name, or unknown
             decision = steadied(base, searched, decision, run)  # joints: the same under another filter, rate or split
@@ -65,6 +66,10 @@ def _judged(choice: Choice, run: Run) -> Diagnosis:
                 decision = replace(decision, further=unclaimed(models, decision.final, run.progress))
             run.progress("evidence", 1)
             ranking = rank(models, decision)  # all models; the leading ones where they were not fitted
+            gusts = blown(base, searched, decision, run)  # a branch that sways untouched: what blows is read off it
+            if gusts is not None:
+                base, searched, decision, ranking = gusts.base, gusts.searched, gusts.decision, gusts.ahead_of(ranking)
+            models, contest = searched.fitted, base.contest
         repaired = repair(base, decision, run)  # one model that is fitted, inferred, written, and misses what it misses
         noise = noise_seen(contest)
         where = locate(case, contest.recordings, noise, repaired.base_output, repaired.base_stiffness)

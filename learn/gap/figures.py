@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from ...sim.base.types import Array
 from ..reports.figures import ALARM, FAINT, MEASURED, MODEL, NOISE, WIDTH, push_direction, styled
@@ -28,6 +29,32 @@ def short(name: str, longest: int = LONGEST) -> str:
         return name
     head = (longest - 1) // 2
     return f"{name[:head]}…{name[len(name) - (longest - 1 - head) :]}"
+
+
+@styled
+def course_figure(
+    t: Sequence[Array], pressure: Sequence[Array], held: Sequence[NDArray[np.bool_]], titles: Sequence[str]
+) -> Figure:  # fmt: skip
+    """Draw the pressure of gusts that was read off some recordings over time, and when a gripper may have held.
+
+    Args:
+        t: Time of each recording [s], shapes [T].
+        pressure: Pressure along x and y [Pa], shapes [T, 2].
+        held: Whether the gripper may hold, shapes [T].
+        titles: Name of each recording.
+    """
+    figure = Figure(figsize=(WIDTH, 0.6 + 1.5 * len(t)), layout="constrained")
+    rows = figure.subplots(len(t), 1, sharey=True, squeeze=False)[:, 0]
+    for ax, time, own, closed, title in zip(rows, t, pressure, held, titles, strict=True):
+        ax.fill_between(time, 0, 1, where=closed, transform=ax.get_xaxis_transform(), color=FAINT, linewidth=0,
+                        label="gripper may hold")  # fmt: skip
+        for values, colour, name in zip(own.T, (MODEL, MEASURED), "xy", strict=True):
+            ax.plot(time, values, color=colour, label=f"along {name}")
+        ax.set_title(title)
+        ax.set_ylabel("pressure [Pa]")
+    rows[0].legend(loc="upper right", ncols=3)
+    rows[-1].set_xlabel("time [s]")
+    return figure
 
 
 @styled

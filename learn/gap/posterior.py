@@ -85,7 +85,7 @@ def only(contest: Contest, fitted: Batch) -> Unknowns:
             continue
         columns = zip(candidate.specs, candidate.columns, strict=True)
         off = {s.name: s.neutral for s, k in columns if not active[k]}
-        acting.append(replace(candidate.acting, known=off) if off else candidate.acting)
+        acting.append(replace(candidate.acting, known={**candidate.acting.known, **off}) if off else candidate.acting)
     return Unknowns(effects=tuple(acting))
 
 

@@ -19,6 +19,13 @@ from .search import Searched
 from .usable import different_plants, one_way, rests_elsewhere
 from .where import replicate_scatter, swing_of
 
+#: Of gusts whose course was read off the recordings.
+READ_OFF = (
+    "What blew in each recording was read off its motion: the branch sways before it is touched, and differs from"
+    " repeat to repeat. The model tells what blew then and foretells no gust; springs and dampers have their intervals"
+    " beside these courses."
+)
+
 
 def record(
     base: Base, searched: Searched, decision: Decision, run: Run, *, repaired: Repaired, ranking: tuple[Rival, ...],
@@ -45,6 +52,8 @@ def record(
     if isinstance(repaired.model, BranchModel) and repaired.model.held_out is not None:
         other = " and ".join(repaired.model.held_out)
         remarks += (f"What is missing shows only in recordings held out by default: {other} is held out instead.",)
+    if isinstance(repaired.model, BranchModel) and repaired.model.courses:
+        remarks += (READ_OFF,)
     if decision.ended:
         remarks += (f"{' and '.join(decision.ended)} would leave less, but at an end of its box where it is the law"
                     " that is named.",)  # fmt: skip

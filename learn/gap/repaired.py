@@ -164,12 +164,14 @@ def model_from(
     for c in model.members:
         candidate = contest.candidates[c]
         known = {s.name: values[f"{candidate.acting.label} {s.name}"] for s in candidate.specs}
-        acting.append(replace(candidate.acting, known=known))
+        acting.append(replace(candidate.acting, known={**candidate.acting.known, **known}))
     if isinstance(case, BranchCase):
         names = case.segment_name
         spring, damper = (np.array([values[f"{k} {n}"] for n in names]) for k in ("stiffness", "damping"))
         size = np.column_stack([case.length, case.radius])
-        return BranchModel(case.name, names, spring, damper, tuple(acting), size, claimed, held)
+        courses = {t.file: r.course for t, r in zip(case.trajectories, contest.recordings, strict=True)
+                   if r.course is not None and model.members}  # fmt: skip
+        return BranchModel(case.name, names, spring, damper, tuple(acting), size, claimed, held, courses)
     return JointModel(
         case.name, case.fit, tuple((j.name, j.type) for j in case.joints), tuple(p.name for p in own),
         tuple(p.unit for p in own), np.array([values[p.name] for p in own]), tuple(acting), claimed,
@@ -180,7 +182,7 @@ def model_from(
 def off_in(contest: Contest, model: ModelFile) -> list[Acting]:
     """Return the candidates that a model does not have, switched off; none for a model without effects."""
     have = [a.label for a in model.effects]
-    return [replace(c.acting, known={s.name: s.neutral for s in c.specs})
+    return [replace(c.acting, known={s.name: s.neutral for s in c.law.parameters})
             for c in contest.candidates if have and c.acting.label not in have]  # fmt: skip
 
 

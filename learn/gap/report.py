@@ -32,6 +32,7 @@ from .figures import (
     BASE,
     BEST,
     before_after_figure,
+    course_figure,
     gap_figure,
     heat_figure,
     loops_figure,
@@ -337,6 +338,7 @@ def _figures(d: Diagnosis) -> list[ReportFigure]:
                                              scatter=repeats),
                      "Residual as a share of the motion by recording and time: dark windows are where a model is wrong;"
                      " grey: no data.", _darkest(d, base.of_motion, best.of_motion, base.edges)),
+        *_courses(d),
         _before_after(d),
         _loops(d) if isinstance(d.case, BranchCase) else _against_motion(d, d.case),
         ReportFigure("ranking.png", ranking_figure([together(r.effects) for r in ranked], delta, explained),
@@ -346,6 +348,19 @@ def _figures(d: Diagnosis) -> list[ReportFigure]:
                      "Residual / noise by part of the motion: parts far above 1 point to the missing law.",
                      _loudest(base.shares, best.shares)),
     ]  # fmt: skip
+
+
+def _courses(d: Diagnosis) -> list[ReportFigure]:
+    """Return the courses of gusts in the recordings that the base model misses most; nothing where there are none."""
+    if not isinstance(d.model, BranchModel) or not d.model.courses or not isinstance(d.case, BranchCase):
+        return []
+    worst, files, lead = sorted(_worst(d, SHOWN)), [t.file for t in d.case.trajectories], d.case.lead
+    rms = next(a.known["rms_Pa"] for a in d.model.effects if a.name == "wind_gust")
+    seen = [d.recordings[j] for j in worst]
+    figure = course_figure([r.t for r in seen], [rms * d.model.courses[files[j]][lead:] for j in worst],
+                           [r.contact for r in seen], [_titles(d)[j] for j in worst])  # fmt: skip
+    return [ReportFigure("courses.png", figure, "Pressure of the gusts that was read off recordings: of another course"
+                         " in each, and there before a gripper closes.", "")]  # fmt: skip
 
 
 def _removed(d: Diagnosis) -> str:

@@ -24,7 +24,7 @@ from ..replay.recording import Recording
 from ..runs.checkpoint import Checkpoint, digest
 from ..runs.threads import one_thread
 from ..systems.choose import system_of
-from ..systems.model_file import model_of
+from ..systems.model_file import blown_by, model_of
 from .outcome import Outcome
 from .posterior import Posterior, infer
 from .predict import Prediction, pooled, predict
@@ -296,7 +296,8 @@ def identify(
         case = given if isinstance(given, BranchCase | JointCase) else load_case(given)
         settings.check()
         if model is not None:
-            settings = replace(settings, effects=model_of(model, case).effects)
+            known = model_of(model, case)
+            case, settings = blown_by(known, case), replace(settings, effects=known.effects)
         keep = Checkpoint(target.absolute().parent / f".{target.name}.unfinished", _key(case, settings, model))
         keep.open(resume)
         try:

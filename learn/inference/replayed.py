@@ -18,7 +18,7 @@ from ..replay.recording import Recording
 from ..systems.acting import Acting
 from ..systems.branch import Unknowns
 from ..systems.joint_file import JointModel
-from ..systems.model_file import BranchModel, Model
+from ..systems.model_file import BranchModel, Model, blown_by
 from .fit import levenberg_marquardt
 from .identify import pooled_sigma, split
 from .predict import START_WINDOW, first_moments, main_channels
@@ -84,6 +84,7 @@ def replay_model(case: BranchCase | JointCase, model: Model, off: Sequence[Actin
     if isinstance(model, JointModel):
         assert isinstance(case, JointCase)
         case = model.as_fitted(case)
+    case = blown_by(model, case)
     chosen = [thinned(case, r) for r in recordings_of(case)]
     unknowns = Unknowns(effects=(*model.effects, *off))
     train, test = held_out(case, model)

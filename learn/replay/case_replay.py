@@ -20,7 +20,7 @@ from ...sim.engine.trajectory import Trajectory, record
 from ...sim.pictures.figures import COLORS, STYLE
 from ..cases.case import BranchCase
 from ..systems.branch import BranchSystem, Unknowns
-from ..systems.model_file import BranchModel
+from ..systems.model_file import BranchModel, blown_by
 from .recording import Recording, recordings
 from .rollout import Rollout
 
@@ -52,7 +52,8 @@ def replay(
 
 def _with_model(case: BranchCase, model: BranchModel, stepping: Stepping, seconds: float) -> tuple[Trajectory, Array]:
     """Replay a model as identification does, recorded at the sampling times."""
-    rollout = Rollout(case, recordings(case), 1, unknowns=Unknowns(effects=model.effects), track=bool(model.effects))
+    chosen = recordings(blown_by(model, case))
+    rollout = Rollout(case, chosen, 1, unknowns=Unknowns(effects=model.effects), track=bool(model.effects))
     count = round(seconds / case.dt) + 1
     grasp = rollout(torch.tensor(model.values[None]))[0, :, :count, :3].double().cpu().numpy().swapaxes(0, 1)
     if model.effects:

@@ -18,14 +18,12 @@ from ...sim.base.types import Array
 from ...sim.effects import terms_of
 from ...sim.engine.arrays import LaneArray
 from ...sim.engine.model import Model
+from ..cases.case import BranchCase
 from ..systems.acting import FIELD
 from ..systems.branch import BranchSystem
 from .midstep import driving
 from .recording import Recording, recordings
 from .worlds import ReplayWorlds
-
-#: Time that laws which act by the clock have moved a branch before a recording in which it moves already [s].
-LEAD = 3.0
 
 
 def midway_arrays(model: Model) -> dict[str, LaneArray]:
@@ -51,7 +49,7 @@ class EffectArrays:
             FIELD: m.field("Real", places=count * PARAMETERS * stride),
             "memory": m.field("Vec", places=max(1, vectors * stride)),
             "settle": m.field("Real", places=1),
-            **{name: m.field("Vec") for name in ("effort", "hold", "wind", "swirl", "centre", "end")},
+            **{name: m.field("Vec") for name in ("effort", "hold", "wind", "swirl", "course", "centre", "end")},
             **midway_arrays(m),
             **{name: m.field("Real") for name in ("damping", "area", "crown")},
         }
@@ -161,8 +159,8 @@ def _recorded(rollout: ReplayWorlds, sequence: Sequence[Recording]) -> list[Any]
 
 
 def _branch_arguments(rollout: ReplayWorlds) -> list[Any]:
-    system, m, device = rollout.system, rollout.model, rollout.device
-    assert isinstance(system, BranchSystem)
+    system, m, device, case = rollout.system, rollout.model, rollout.device, rollout.case
+    assert isinstance(system, BranchSystem) and isinstance(case, BranchCase)
     rollout.channels = 6
     sequence = history(rollout) if rollout.chained else rollout.recordings
     chains = 1 if rollout.chained else len(sequence)
@@ -183,9 +181,20 @@ def _branch_arguments(rollout: ReplayWorlds) -> list[Any]:
         wp.array([len(r.t) for r in sequence], dtype=int, device=device),
         wp.array([r.t_start for r in sequence], dtype=wp.float64, device=device),
         wp.array(offset, dtype=int, device=device),
-        wp.array([round(LEAD / rollout.case.dt) * r.sways for r in sequence], dtype=int, device=device),
+        wp.array([case.lead * r.sways for r in sequence], dtype=int, device=device),
         wp.array(inputs, dtype=wp.float64, device=device),
+        wp.array(_courses(sequence), dtype=wp.float64, device=device),
     ]
+
+
+def _courses(sequence: Sequence[Recording]) -> Array:
+    """Return the courses of gusts [recordings, lead and longest, 2], zero where there is none; of length 1 without."""
+    known = [r.course for r in sequence if r.course is not None]
+    out = np.zeros((len(sequence), max([1, *map(len, known)]), 2))
+    for j, r in enumerate(sequence):
+        if r.course is not None:
+            out[j, : len(r.course)] = r.course
+    return out
 
 
 def _felt(r: Recording) -> Array:

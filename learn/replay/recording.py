@@ -43,6 +43,7 @@ class Recording:
             direction, or one for all recordings: a force that turns with it cannot be told from one that does not.
         sways: Whether the branch is off its calm pose or moves where a recording of the case begins: what acts by the
             clock has acted before.
+        course: Pressure of gusts over its rms, along x and y, as in `BranchTrajectory`; None where there is none.
         together: Whether a branch's gripper is timed with its force, which falls as it opens; else with the motion.
     """
 
@@ -60,6 +61,7 @@ class Recording:
     opened: Array = field(default_factory=lambda: np.zeros(3))
     heading: Array = field(default_factory=lambda: np.zeros(3))
     sways: bool = False
+    course: Array | None = None
     together: bool = True
 
 
@@ -75,12 +77,12 @@ def recordings(case: BranchCase | JointCase) -> list[Recording]:
     if isinstance(case, BranchCase):
         noise, ways = estimate_noise(case), headings(case)
         together = timed_together(case, noise)
-        sways = any(any(_away(t, noise, 1)) for t in case.trajectories)
+        sways = any(t.course is not None or any(_away(t, noise, 1)) for t in case.trajectories)
         return [
             Recording(t.t, np.where(t.no_contact[:, None], 0.0, t.force), np.hstack([t.displacement, t.velocity]),
                       np.zeros((0, 2)), ~t.no_contact, t.grasp, t.t_start, t.force,
                       off=standing(t, noise), opened=_of_open_gripper(t, noise), heading=way, sways=sways,
-                      together=together)
+                      course=t.course, together=together)
             for t, way in zip(case.trajectories, ways, strict=True)
         ]  # fmt: skip
     return [

@@ -5,7 +5,8 @@ Of a branch, masses and gravity are the case's; so is the geometry, and a file t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ class BranchModel:
         claimed: Whether the effects are claimed; else they are the nearest ones of a diagnosis.
         held_out: Files of the recordings that the model was not fitted to; None for those that a case holds out by
             itself.
+        courses: Courses of gusts by the recording's file, see `replay.recording.Recording`.
     """
 
     name: str
@@ -47,6 +49,7 @@ class BranchModel:
     size: Array | None = None
     claimed: bool = True
     held_out: tuple[str, ...] | None = None
+    courses: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def values(self) -> Array:
@@ -73,6 +76,7 @@ def read_model(path: str | Path) -> BranchModel:
         None if file.sizes is None else np.array(file.sizes),
         file.claimed,
         file.held_out,
+        {c.file: np.column_stack([c.x, c.y]) for c in file.courses},
     )
 
 
@@ -95,7 +99,23 @@ def _content(model: BranchModel) -> dict[str, Any]:
     acting = [{"name": a.name, "joint": a.joint, "parameters": {k: float(v) for k, v in a.known.items()}}
               for a in model.effects]  # fmt: skip
     content = {"format": FORMAT, "name": model.name, "segments": segments, "effects": acting}
-    return content if model.held_out is None else {**content, "held_out": list(model.held_out)}
+    if model.held_out is not None:
+        content["held_out"] = list(model.held_out)
+    if model.courses:
+        content["courses"] = [{"file": k, **{a: _Row(c) for a, c in zip("xy", own.T.tolist(), strict=True)}}
+                              for k, own in model.courses.items()]  # fmt: skip
+    return content
+
+
+class _Row(list[float]):
+    """Numbers that are written one beside the other."""
+
+
+def _on_lines(dumper: yaml.SafeDumper, row: _Row) -> yaml.Node:
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", row, flow_style=True)
+
+
+yaml.SafeDumper.add_representer(_Row, _on_lines)
 
 
 def model_of(path: str | Path, case: BranchCase | JointCase) -> Model:
@@ -112,10 +132,11 @@ def model_of(path: str | Path, case: BranchCase | JointCase) -> Model:
 
 
 def check_fits(model: BranchModel, case: BranchCase, source: str | Path) -> None:
-    """Raise `InputError` where a model's segments are not the case's: other names, or other lengths and radii."""
+    """Raise `InputError` where a model is not the case's: other names, lengths or radii, or courses of other length."""
     if model.segment_name != case.segment_name:
         found = f"{', '.join(model.segment_name)}"
         raise InputError(source, "segments", found, f"the case's, base first: {', '.join(case.segment_name)}")
+    _check_courses(model, case, source)
     if model.size is None:
         return
     own = np.column_stack([case.length, case.radius])
@@ -124,3 +145,22 @@ def check_fits(model: BranchModel, case: BranchCase, source: str | Path) -> None
         i, c = other[0].tolist()
         place, found = f"segments, {model.segment_name[i]} {GEOMETRY[c]}", f"{model.size[i, c]:g}"
         raise InputError(source, place, found, f"the case's, {own[i, c]:g}")
+
+
+def blown_by(model: Model, case: BranchCase | JointCase) -> BranchCase | JointCase:
+    """Return a case with the courses of gusts that a model has for its recordings."""
+    if not isinstance(model, BranchModel) or not isinstance(case, BranchCase):
+        return case
+    blown = (replace(t, course=model.courses.get(t.file)) for t in case.trajectories)
+    return replace(case, trajectories=tuple(blown))
+
+
+def _check_courses(model: BranchModel, case: BranchCase, source: str | Path) -> None:
+    """Raise `InputError` for courses of some recordings only, or that are not as long as these."""
+    if not model.courses:
+        return
+    for t in case.trajectories:
+        length = case.lead + len(t.t)
+        found = len(model.courses.get(t.file, ()))
+        if found != length:
+            raise InputError(source, f"courses, {t.file}", f"{found} values", f"{length}")

@@ -15,7 +15,7 @@ from ..replay.recording import recordings
 from ..replay.rollout import Rollout
 from ..systems.acting import Acting
 from ..systems.branch import BranchSystem, Kind, Unknowns
-from ..systems.model_file import BranchModel, check_fits, read_model
+from ..systems.model_file import BranchModel, blown_by, check_fits, read_model
 
 KINDS: dict[str, Kind] = {
     "stiffness": "stiffness",
@@ -67,7 +67,8 @@ def nominal(case: BranchCase) -> Told:
 
 def told(case: BranchCase, model: BranchModel, name: str) -> Told:
     """Return what a model makes of a case, replayed as identification and diagnosis do."""
-    rollout = Rollout(case, recordings(case), 1, unknowns=Unknowns(effects=model.effects))
+    chosen = recordings(blown_by(model, case))
+    rollout = Rollout(case, chosen, 1, unknowns=Unknowns(effects=model.effects))
     moved = rollout(torch.tensor(model.values[None]))[0, :, :, :3].double().cpu().numpy()
     return Told(name, moved, model.stiffness)
 

@@ -94,6 +94,8 @@ class EffectParameter:
             for it once for each.
         becomes, below: Names of the effects that the law turns into where the value is larger than the box, and
             smaller; empty for none.
+        read_off: Whether the value is the size of what was read off the recordings themselves, so that no search moves
+            it: it is neutral where nothing was.
         becomes_from: How far up the box, as a share of it on its own scale, the law is as good as the one that it
             becomes, where that one explains as much.
     """
@@ -113,6 +115,7 @@ class EffectParameter:
     becomes: str = ""
     below: str = ""
     becomes_from: float = 1.0
+    read_off: bool = False
 
 
 #: Share of the twist that a law at a ball joint sees, and of the torque about it that it gives.

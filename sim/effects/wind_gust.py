@@ -23,9 +23,10 @@ def amplitudes(p: Any, like: Any):
 
 @wp.func
 def wind_gust(b: Any, p: Any):
-    """F of the pressure s sin 2 pi f t + c cos 2 pi f t + g M, horizontal, t on the absolute clock, by half angles.
+    """F of the pressure s sin 2 pi f t + c cos 2 pi f t + g M + r y, horizontal, t on the clock, by half angles.
 
-    M are the largest of the pressures that swing, and 1 + |g| times M the largest of all.
+    M are the largest of the pressures that swing, and 1 + |g| times M the largest of all; y is a course that was read
+    off the recording, of rms one, and r the rms of its pressure.
     """
     cycles = p.e * b.time
     half = (cycles - round_(cycles)) * real(PI, cycles)
@@ -37,8 +38,9 @@ def wind_gust(b: Any, p: Any):
     x = fma(p.b, double_cosine, p.a * double_sine)
     y = fma(p.d, double_cosine, p.c * double_sine)
     most = amplitudes(p, b.velocity)
-    q = type(b.velocity)(x, y, real(0.0, u)) + most * p.g
-    return pressed(q, norm(most) * (real(1.0, u) + size(p.g)), b, p.f, p.h, p.i)
+    q = type(b.velocity)(x, y, real(0.0, u)) + most * p.g + b.course * p.j
+    largest = fma(size(p.j), norm(b.course), norm(most) * (real(1.0, u) + size(p.g)))
+    return pressed(q, largest, b, p.f, p.h, p.i)
 
 
 def _pressure(name: str) -> EffectParameter:
@@ -51,10 +53,11 @@ EFFECT = register(
         name="wind_gust",
         plain="gusts of wind",
         summary="a horizontal force on every segment that oscillates at one frequency on the absolute clock,"
-        " about mean times its largest value; of the share m of the air only what flows across the segment counts, a"
-        " segment that moves feels another wind as far as the air is slow, and the share crown of the area may hang at"
-        " the tip",
-        source="Davenport 1961, Q. J. R. Meteorol. Soc. 87:194 (one component of the gust spectrum)",
+        " about mean times its largest value, or of rms r along a course that was read off each recording; of the share"
+        " m of the air only what flows across the segment counts, a segment that moves feels another wind as far as the"
+        " air is slow, and the share crown of the area may hang at the tip",
+        source="Davenport 1961, Q. J. R. Meteorol. Soc. 87:194 (one component of the gust spectrum); a course as a"
+        " normal process: Rasmussen & Williams, Gaussian Processes for Machine Learning (2006), section 2.2",
         signature="the open gripper sees the branch sway; replicates differ by their phase on the clock",
         mistaken_for=("steady_wind",),
         probe="a long recording with the gripper open",
@@ -76,6 +79,16 @@ EFFECT = register(
                 EffectParameter("mean", "1", -1.5, 1.5, optional=True),
                 SLOWNESS,
                 CROWN,
+                EffectParameter(
+                    "rms_Pa",
+                    "Pa",
+                    0.0,
+                    lambda s: 3.0 * s.force / s.area,
+                    tries=lambda s: [0.0],
+                    optional=True,
+                    plausible=(0.0, STORM),
+                    read_off=True,
+                ),
             ),
             wind_gust,
             per_joint=False,

@@ -25,7 +25,7 @@ def read_effects(words: Sequence[str]) -> dict[str, dict[str, float]]:
         if not (colon and rest):
             raise InputError(OPTION, "", f"'{word}'", "NAME:PARAMETER=VALUE[,PARAMETER=VALUE...]")
         forest_terms([name], OPTION)
-        specs = {p.name: p for p in forest_laws()[name].parameters}
+        specs = {p.name: p for p in forest_laws()[name].parameters if not p.read_off}
         for part in rest.split(","):
             spec, value = _parameter(name, specs, part)
             if spec.name in out.setdefault(name, {}):

@@ -59,7 +59,7 @@ def forest_laws() -> dict[str, Law]:
 
 
 def forest_terms(names: Sequence[str], source: str = "simulator") -> tuple[tuple[Term, ...], tuple[Row, ...]]:
-    """Return the kernel terms of some effects and their parameters.
+    """Return the kernel terms of some effects and their parameters, without those of what was read off recordings.
 
     Raises:
         InputError: A name is unknown, given twice, or of an effect that makes sense in a measured case only.
@@ -81,6 +81,7 @@ def forest_terms(names: Sequence[str], source: str = "simulator") -> tuple[tuple
         Row(term.slot, n, term.kind, spec, term.per_joint, _at_hinges(e, spec) if term.per_joint else None)
         for e, term in zip(chosen, terms, strict=True)
         for n, spec in enumerate(laws[e.name].parameters)
+        if not spec.read_off
     ]
     return terms, tuple(rows)
 
@@ -163,7 +164,7 @@ class ForestEffects(Mapping[str, Mapping[str, torch.Tensor]]):
         self._fields = {name: m.field(kind) for name, kind in kinds.items()}
         self._fields["parameter"] = m.field("Real", places=len(self.terms) * PARAMETERS * stride)
         self._fields["memory"] = m.field("Vec", places=max(1, memory_row(self.terms, len(self.terms)) * stride))
-        self._fields |= {name: self._launcher.field("Vec") for name in ("hold", "effort", "wind", "swirl")}
+        self._fields |= {name: self._launcher.field("Vec") for name in ("hold", "effort", "wind", "swirl", "course")}
         types = term_types(m.width, m.precision)
         self.kernel = types.Terms()
         for name, field in self._fields.items():

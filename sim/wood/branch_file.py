@@ -13,7 +13,9 @@
 Segments stand base first. The last three keys of a segment may be left out, of all segments alike. ``claimed: false``
 says that the effects are the nearest ones that a diagnosis found, which it does not claim; the springs are fitted
 beside them and go with them. ``held_out: [traj_01.csv]`` names the recordings of its case that the model was not fitted
-to, where they are not those that a case holds out by itself.
+to, where they are not those that a case holds out by itself. ``courses: [{file: traj_01.csv, x: [...], y: [...]}]`` are
+the courses of gusts that were read off the recordings: pressure over its rms at every sample, from 3 s before the first
+on.
 """
 
 from __future__ import annotations
@@ -64,6 +66,14 @@ class EffectModel(Strict):
         return self.name if self.joint is None else f"{self.name}@{self.joint}"
 
 
+class CourseModel(Strict):
+    """Pressure of gusts over its rms, along x and y, in one recording."""
+
+    file: str
+    x: Annotated[list[float], Field(min_length=1)]
+    y: Annotated[list[float], Field(min_length=1)]
+
+
 class BranchFile(Strict):
     """The keys of ``model.yaml``."""
 
@@ -73,6 +83,7 @@ class BranchFile(Strict):
     effects: tuple[EffectModel, ...] = Field(default=(), strict=False)
     claimed: bool = True
     held_out: tuple[str, ...] | None = Field(default=None, min_length=1, strict=False)
+    courses: tuple[CourseModel, ...] = Field(default=(), strict=False)
 
     @property
     def sizes(self) -> list[tuple[float, float, float]] | None:
@@ -95,7 +106,23 @@ def read_branch_file(path: str | Path) -> BranchFile:
     for i in range(len(meta.segments)):
         _check_segment(file, meta.segments, i)
     check_effects(file, meta.effects, "branch", len(meta.segments))
+    _check_courses(file, meta)
     return meta
+
+
+def _check_courses(file: YamlFile, meta: BranchFile) -> None:
+    """Raise `InputError` for courses of unequal lengths, two of one recording, or none where an effect needs them."""
+    for i, own in enumerate(meta.courses):
+        if len(own.x) != len(own.y):
+            raise file.error(["courses", i], f"{len(own.x)} values of x, {len(own.y)} of y", "as many of each")
+        if own.file in [other.file for other in meta.courses[:i]]:
+            raise file.error(["courses", i, "file"], f"{own.file} a second time", "each recording once")
+    for i, effect in enumerate(meta.effects):
+        law = effect_of(effect.name).law("branch")
+        needed = [p.name for p in law.parameters if p.read_off and effect.parameters[p.name] != p.neutral]
+        if needed and not meta.courses:
+            here: list[str | int] = ["effects", i, "parameters", needed[0]]
+            raise file.error(here, f"{effect.parameters[needed[0]]:g} without courses", "0, or courses to follow")
 
 
 def check_format(file: YamlFile, wanted: str, what: str) -> None:

@@ -21,16 +21,20 @@ WoodEffects = tuple[tuple[str, str, float], ...]
 def wood_effects(file: BranchFile) -> tuple[WoodEffects, tuple[str, ...]]:
     """Return the effects of a branch that trees can have, and the labels of those that belong to its measurement.
 
+    Gusts along a course that was read off recordings do.
+
     What acts at one joint of the branch is taken to act at every joint of a tree, in proportion to the joint's spring;
     of an effect at several joints the one nearest to the base is taken.
     """
     laws, left_out = forest_laws(), []
     out: list[tuple[str, str, float]] = []
     for found in sorted(file.effects, key=lambda e: e.joint or 0):
-        if found.name not in laws:
+        read_off = {p.name: p.neutral for p in effect_of(found.name).law("branch").parameters if p.read_off}
+        if found.name not in laws or any(found.parameters.get(key, off) != off for key, off in read_off.items()):
             left_out.append(found.label)
         elif found.name not in [name for name, _, _ in out]:
-            out += [(found.name, key, _relative(file, found, key, v)) for key, v in found.parameters.items()]
+            kept = {key: v for key, v in found.parameters.items() if key not in read_off}
+            out += [(found.name, key, _relative(file, found, key, v)) for key, v in kept.items()]
     return tuple(out), tuple(left_out)
 
 

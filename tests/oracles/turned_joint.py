@@ -28,7 +28,7 @@ def turner(law):
             if k > 0:
                 rate = path_in[k] - path_in[k - 1]
             j = _JointState(place, _Vec(rate[0], rate[1], rate[2]), carries, none, 1.0, 0.0, 1.0)
-            r = law(j, _Parameters(a, b, c, d, e, f, g, 0.0, 0.0), _Response(none, z, 0.0, 0.0))
+            r = law(j, _Parameters(a, b, c, d, e, f, g, 0.0, 0.0, 0.0), _Response(none, z, 0.0, 0.0))
             z = r.memory
             torque_out[k] = wp.vec3(r.torque.x, r.torque.y, r.torque.z) - r.damping * rate
 

@@ -40,8 +40,8 @@ class Candidate:
 
     @property
     def specs(self) -> tuple[EffectParameter, ...]:
-        """Entries of its parameters in the registry."""
-        return self.law.parameters
+        """Entries in the registry of its parameters that are not known."""
+        return tuple(p for p in self.law.parameters if p.name not in self.acting.known)
 
     @property
     def name(self) -> str:
@@ -108,14 +108,15 @@ def springs(case: BranchCase | JointCase) -> list[bool]:
 
 
 def everywhere(case: BranchCase | JointCase, names: Iterable[str]) -> tuple[Acting, ...]:
-    """Return every effect at every place where it can act."""
+    """Return every effect at every place where it can act, without what only a course read off can make it do."""
     form: Literal["branch", "joint"] = "branch" if isinstance(case, BranchCase) else "joint"
     sprung = springs(case)
     out: list[Acting] = []
     for name in names:
         law = effect_of(name).law(form)
         joints = [j for j, spring in enumerate(sprung) if spring or not needs_spring(law)]
-        out += [Acting(name, j) for j in joints] if law.per_joint else [Acting(name)]
+        off = {p.name: p.neutral for p in law.parameters if p.read_off}
+        out += [Acting(name, j, off) for j in joints] if law.per_joint else [Acting(name, None, off)]
     return tuple(out)
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -25,6 +25,7 @@ from ...cases.case import BranchCase, JointCase
 from ...replay.input_noise import Colour
 from ...replay.motion import about_rest
 from ...replay.recording import Recording, beginning
+from ...systems.acting import Acting
 from ...systems.branch import Unknowns
 from ...systems.system import box_of, values_of
 from .candidates import Candidate, everywhere, passes_neutral
@@ -84,6 +85,7 @@ class Contest:
         recordings: R recordings.
         sigma: Noise of the channels, shape [C].
         names: Effects that may act.
+        effects: Where they act and what is known of them; None takes every place, nothing known.
         device: Warp device.
 
     Attributes:
@@ -109,11 +111,11 @@ class Contest:
 
     def __init__(
         self, case: BranchCase | JointCase, recordings: Sequence[Recording], sigma: Array, names: Sequence[str], *,
-        device: object = None,
+        effects: Sequence[Acting] | None = None, device: object = None,
     ) -> None:  # fmt: skip
         self.case, self.recordings, self.device = case, list(recordings), device
         self.names = tuple(names)
-        self.unknowns = Unknowns(effects=everywhere(case, names))
+        self.unknowns = Unknowns(effects=everywhere(case, names) if effects is None else tuple(effects))
         self.simulations = Simulations(case, self.recordings, self.unknowns, device=device)
         self._beginnings: dict[float, Contest] = {}
         system = self.simulations.whole.system
@@ -170,7 +172,9 @@ class Contest:
         if share not in self._beginnings:
             cut = [beginning(r, max(FEWEST, round(share * len(r.t)))) for r in self.recordings]
             sigma = self.sigma.cpu().numpy()
-            self._beginnings[share] = Contest(self.case, cut, sigma, self.names, device=self.device)
+            self._beginnings[share] = Contest(
+                self.case, cut, sigma, self.names, effects=self.unknowns.effects, device=self.device
+            )
         return self._beginnings[share]
 
     def _candidates(self) -> list[Candidate]:
@@ -179,8 +183,9 @@ class Contest:
         column = self.num_base
         for acting in system.acting.acting:
             law = system.acting.laws[acting.name]
-            out.append(Candidate(acting, tuple(range(column, column + len(law.parameters))), law))
-            column += len(law.parameters)
+            end = column + len(law.parameters) - len(acting.known)
+            out.append(Candidate(acting, tuple(range(column, end)), law))
+            column = end
         off = [spec.neutral for candidate in out for spec in candidate.specs]
         neutral = [p.typical or 1.0 for p in self.parameters[: self.num_base]] + off
         self.neutral = torch.tensor(neutral, dtype=torch.float64, device=self.place)
@@ -248,6 +253,14 @@ class Contest:
         """Return differences of channels [S, R, T, C] whitened: noise alone gives standard deviation one."""
         z = torch.nan_to_num(difference.double(), nan=LOST).clamp(-LOST, LOST) * self._scale
         return z if self.colour is None else self.colour.whiten(z, z.new_ones(len(z)))
+
+    def whiten_one(self, j: int, difference: torch.Tensor) -> torch.Tensor:
+        """Return differences of the channels of recording j alone, [S, T, C], whitened as `whiten` does."""
+        z = difference.double() * self._scale[j]
+        if self.colour is None:
+            return z
+        own = replace(self.colour, basis=self.colour.basis[[j]], gain=self.colour.gain[[j]])
+        return own.whiten(z[:, None], z.new_ones(len(z)))[:, 0]
 
     def residual(self, batch: Batch) -> torch.Tensor:
         """Return whitened measured minus simulated, [S, R, T, C], recordings weighted."""

@@ -22,8 +22,10 @@ def drag(
     """Write the force on every piece, of the shares m (across), s (axis by axis) and k (crown), and the speed l."""
     n = wp.tid()
     v, d, q = velocity_in[n], arm_in[n], turn_in[n]
-    b = LinkState(Vec(v[0], v[1], v[2]), Vec(d[0], d[1], d[2]), Quat(q[0], q[1], q[2], q[3]), AREA, CROWN, 0.0)
-    f = LAW(b, Parameters(C, m, s, k, linear, 0.0, 0.0, 0.0, 0.0))
+    b = LinkState(
+        Vec(v[0], v[1], v[2]), Vec(d[0], d[1], d[2]), Quat(q[0], q[1], q[2], q[3]), AREA, CROWN, 0.0, Vec(0.0, 0.0, 0.0)
+    )
+    f = LAW(b, Parameters(C, m, s, k, linear, 0.0, 0.0, 0.0, 0.0, 0.0))
     force_out[n] = wp.vec3(f.x, f.y, f.z)
 
 

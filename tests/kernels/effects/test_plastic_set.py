@@ -23,7 +23,7 @@ def turn(
     none, b, c = Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0)
     for k in range(path_in.shape[0]):
         j = JointState(Vec(path_in[k][0], path_in[k][1], path_in[k][2]), none, none, none, 1.0, 0.0, h)
-        r = LAW(j, Parameters(s, y, i, m, flow, 0.0, 0.0, 0.0, 0.0), LongResponse(none, b, c, 0.0, 0.0))
+        r = LAW(j, Parameters(s, y, i, m, flow, 0.0, 0.0, 0.0, 0.0, 0.0), LongResponse(none, b, c, 0.0, 0.0))
         b = r.memory
         c = r.second
         torque_out[k] = wp.vec3(r.torque.x, r.torque.y, r.torque.z)

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from bough.learn.tasks.clearing import make_task
 from bough.learn.tasks.settings import PRESETS, of_wood
+from bough.sim.effects import effect_of
 from bough.sim.wood.branch_file import BranchFile
 from bough.sim.wood.effects import give_effects, names_of, sentence, wood_effects
 from oracles.contact_case import post, simulator
@@ -36,6 +37,16 @@ def test_moments_are_told_over_the_spring_of_their_joint():
     assert left_out == ("force_bias", "base_compliance")
     assert names_of(given) == ("dry_friction", "steady_wind", "cubic_stiffness")
     assert sentence(given[:1]) == "dry_friction (torque_Nm over its spring 0.05)"
+
+
+def test_gusts_along_a_course_belong_to_the_measurement():
+    """Leave out gusts that follow what was read off recordings; trees have those of one frequency alone."""
+    plain = {p.name: p.neutral for p in effect_of("wind_gust").branch.parameters}
+    given, left_out = wood_effects(branch(("wind_gust", None, plain | {"rms_Pa": 5.0})))
+    assert given == () and left_out == ("wind_gust",)
+    given, left_out = wood_effects(branch(("wind_gust", None, plain | {"sine_x_Pa": 5.0})))
+    assert left_out == () and ("wind_gust", "sine_x_Pa", 5.0) in given
+    assert "rms_Pa" not in [parameter for _, parameter, _ in given]
 
 
 def test_every_joint_has_its_share():

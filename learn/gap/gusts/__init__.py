@@ -1,0 +1,1 @@
+"""Gusts of any course in time: whether a branch sways untouched, and the course that every recording shows."""
