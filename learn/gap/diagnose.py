@@ -12,20 +12,23 @@ from ..cases.case import BranchCase, JointCase, load_case
 from ..replay.choice import Choice, choose
 from ..runs.checkpoint import Checkpoint, digest
 from ..runs.threads import one_thread
-from .decide import decide
+from .decide import Decision, decide
 from .diagnosis import Diagnosis, Settings
 from .evidence import bootstrap_test
-from .gusts.verdict import blown
+from .gusts.answers import GUST
+from .gusts.read_off import gusts_in
+from .gusts.sway import sways
 from .models.candidates import names_for
+from .models.fitted import FittedModels, Model
 from .models.idle import lean
 from .models.unclaimed import unclaimed
 from .next_probe import next_experiment
-from .prepare import prepare
+from .prepare import Base, prepare
 from .record import record
 from .repaired import repair
-from .rivals import rank
+from .rivals import ahead, rank
 from .run import Progress, Run, silent
-from .search import nothing_searched, restored, search
+from .search import Searched, nothing_searched, restored, search
 from .steady import steadied
 from .where import locate, noise_seen
 
@@ -68,7 +71,8 @@ def _judged(choice: Choice, run: Run) -> Diagnosis:
             ranking = rank(models, decision)  # all models; the leading ones where they were not fitted
             gusts = blown(base, searched, decision, run)  # a branch that sways untouched: what blows is read off it
             if gusts is not None:
-                base, searched, decision, ranking = gusts.base, gusts.searched, gusts.decision, gusts.ahead_of(ranking)
+                base, searched, decision = gusts
+                ranking = ahead(searched.fitted, decision.model, ranking)
             models, contest = searched.fitted, base.contest
         repaired = repair(base, decision, run)  # one model that is fitted, inferred, written, and misses what it misses
         noise = noise_seen(contest)
@@ -79,6 +83,28 @@ def _judged(choice: Choice, run: Run) -> Diagnosis:
         next_experiment=probe,
     )  # fmt: skip
     return replace(found, fit=choice.stated)
+
+
+def blown(base: Base, searched: Searched, decision: Decision, run: Run) -> tuple[Base, Searched, Decision] | None:
+    """Return a branch with gusts of any course and these named, where nothing else is and it sways; else None.
+
+    The case is prepared anew: a search takes for noise what differs from repeat to repeat, and gusts do.
+    """
+    contest = base.contest
+    possible = isinstance(contest.case, BranchCase) and GUST in contest.names and not base.unusable
+    if decision.verdict != "unknown" or not possible or not sways(contest):
+        return None
+    fresh = prepare(contest.case, replace(run, settings=replace(run.settings, effects=(GUST,))))
+    with run.timed("fits"):
+        found = gusts_in(fresh.contest, fresh.fit)
+    if found is None:
+        return None
+    own, fits = found
+    plain, model = Model((), fits.one(0), settled=True), Model((0,), fits.one(1), settled=True)
+    acting = own.candidates[0].acting
+    named = Decision("effects", plain, model, model, (acting,), {acting.label: ()})
+    blowing = replace(fresh, contest=own, fit=plain.fit)
+    return blowing, Searched(FittedModels(own, plain, [model]), searched.p_value), named
 
 
 def check(case: BranchCase | JointCase, settings: Settings) -> None:

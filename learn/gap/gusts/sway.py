@@ -14,8 +14,8 @@ from ...replay.recording import Recording
 from ..models.contest import Contest
 from ..models.left_out import profiles
 
-#: Probability by chance of a sway that is told, and least mean square of it in units of the noise. Of 40 branches
-#: without gusts the largest was 1.3, of 20 with gusts the smallest 2.6.
+#: Probability by chance of a sway that is told, and least mean square of it in units of the noise. Of 79 branches
+#: without gusts the largest was 1.4, of 15 with gusts the smallest 3.2 (`docs/decisions/gap.md`).
 CHANCE, LEAST = 1e-6, 1.8
 #: Fewest recordings that begin untouched.
 FEWEST = 3

@@ -260,7 +260,8 @@ def field_of(chi2, base=3000.0, samples=1000):
     """Return a fitted in which models have the given squares: {members: chi2}."""
     names = ["dry_friction", "hysteresis_boucwen", "tip_mass"]
     candidates = [
-        Candidate(SimpleNamespace(name=n, label=n), (k,), SimpleNamespace(parameters=())) for k, n in enumerate(names)
+        Candidate(SimpleNamespace(name=n, label=n, known={}), (k,), SimpleNamespace(parameters=()))
+        for k, n in enumerate(names)
     ]
     contest = SimpleNamespace(num_samples=samples, candidates=candidates, case=object.__new__(BranchCase))
 
@@ -355,7 +356,7 @@ def test_a_spring_that_pulls_one_way_must_explain_nearly_all():
     """Claim a one-sided spring that leaves noise or explains 0.95 of the excess, none that explains 0.94."""
     for left, claimed in ((1100, True), (1400, True), (1480, False)):
         fitted = field_of({(0,): left}, base=9000.0)
-        one_sided = SimpleNamespace(name="bilinear_stiffness", label="")
+        one_sided = SimpleNamespace(name="bilinear_stiffness", label="", known={})
         fitted.contest.candidates[0] = Candidate(one_sided, (0,), SimpleNamespace(parameters=()))
         assert known(fitted, fitted.models[0]) is claimed
 
@@ -366,7 +367,7 @@ def test_a_law_of_a_sensor_must_explain_nearly_all(name):
     for left, claimed in ((1100, True), (1390, True), (1480, False)):
         fitted = field_of({(0,): left}, base=9000.0)
         fitted.contest.candidates[0] = Candidate(
-            SimpleNamespace(name=name, label=""), (0,), SimpleNamespace(parameters=())
+            SimpleNamespace(name=name, label="", known={}), (0,), SimpleNamespace(parameters=())
         )
         assert known(fitted, fitted.models[0]) is claimed
 
@@ -392,7 +393,7 @@ def test_two_breaks_are_not_claimed():
         fitted = field_of({(0, 2): 1000})
         for k in (0, 2):
             fitted.contest.candidates[k] = Candidate(
-                SimpleNamespace(name=name, label=name), (k,), SimpleNamespace(parameters=())
+                SimpleNamespace(name=name, label=name, known={}), (k,), SimpleNamespace(parameters=())
             )
         assert known(fitted, fitted.models[0]) is claimed
 
@@ -410,7 +411,9 @@ def test_what_breaks_does_so_under_a_load(left, moment, claimed):
     """
     fitted = field_of({(0,): left}, base=9000.0)
     law = effect_of("partial_rupture").branch
-    fitted.contest.candidates[0] = Candidate(SimpleNamespace(name="partial_rupture", label=""), tuple(range(6)), law)
+    fitted.contest.candidates[0] = Candidate(
+        SimpleNamespace(name="partial_rupture", label="", known={}), tuple(range(6)), law
+    )
     t = np.arange(0.0, 18.1, 0.1)
     runs = tuple(SimpleNamespace(t_start=x, t=t, no_contact=(t < 2.0) | (t > 6.0)) for x in (5.0, 30.0))
     object.__setattr__(fitted.contest.case, "trajectories", runs)

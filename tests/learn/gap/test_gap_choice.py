@@ -294,7 +294,7 @@ def turning(specs, places, lefts, at):
         lefts: Chi-squared of each, of 1000 samples.
         at: Value of every parameter.
     """
-    candidates = [Candidate(SimpleNamespace(name=name, joint=joint), (k,), SimpleNamespace(parameters=(spec,)))
+    candidates = [Candidate(Acting(name, joint), (k,), SimpleNamespace(parameters=(spec,)))
                   for k, ((name, spec), joint) in enumerate(zip(specs.items(), places, strict=True))]  # fmt: skip
     one = torch.ones(2, dtype=torch.float64)
     contest = SimpleNamespace(num_samples=1000, candidates=candidates, low=0.0 * one, high=one)

@@ -11,8 +11,8 @@ from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.gusts.answers import acting_along
 from bough.learn.gap.gusts.course import Process, rms_of
+from bough.learn.gap.gusts.read_off import blows_on, gusts_in, read_off
 from bough.learn.gap.gusts.sway import differs, sways
-from bough.learn.gap.gusts.verdict import _blows_on, _read_off
 from bough.learn.gap.models.contest import Contest
 from bough.learn.gap.models.refit import fit
 from bough.learn.gap.report import write_diagnosis, write_models
@@ -66,7 +66,7 @@ def measured(case, springs, blown, *, acting=None, seed=3):
     return contest, fit(contest, contest.base_batch(1), 12)
 
 
-def test_gusts_are_seen_and_read_off(branch):
+def test_gusts_are_seen_andread_off(branch):
     """Tell that a branch in turbulence sways and never twice the same; find springs, pressures and their time.
 
     A third of the motion is the gusts' and the noise 2 %: what moves the branch is known well, and a pressure that
@@ -87,9 +87,9 @@ def test_gusts_are_seen_and_read_off(branch):
     stiffness = np.exp(found.free.cpu().numpy())[:2] / springs[:2]
     assert np.abs(stiffness - 1).max() < 0.05
     assert found.deviance < float(base.chi2[0]) - 1000.0
-    own, fits = _read_off(contest, base, found)
+    own, fits = read_off(contest, base, found)
     assert float(fits.chi2[1]) < 1.1 * contest.num_samples < 0.2 * float(fits.chi2[0])
-    assert _blows_on(own, fits)
+    assert blows_on(own, fits)
 
 
 def test_a_law_of_the_branch_is_no_gust(branch):
@@ -98,6 +98,7 @@ def test_a_law_of_the_branch_is_no_gust(branch):
     neutral = {p.name: p.neutral for p in effect_of("dry_friction").branch.parameters}
     friction = Acting("dry_friction", 0, {**neutral, "torque_Nm": 0.02 * springs[0], "bend_rad": 0.002})
     contest, base = measured(case, springs, [None] * len(case.trajectories), acting=friction)
+    assert gusts_in(contest, base) is None
     assert float(base.chi2[0]) > 1.5 * contest.num_samples  # it is seen
     assert not sways(contest)
     assert not differs(contest, contest.residual(base.batch)[0])
@@ -111,9 +112,9 @@ def test_a_branch_that_still_swings_is_in_no_wind(branch):
         own[case.lead - 5 :] = 0.0
     contest, base = measured(case, springs, blown)
     assert sways(contest)
-    own, fits = _read_off(contest, base, Process(contest, base.batch).fit())
+    own, fits = read_off(contest, base, Process(contest, base.batch).fit())
     assert float(fits.chi2[1]) < 1.2 * contest.num_samples < float(fits.chi2[0])
-    assert not _blows_on(own, fits)
+    assert not blows_on(own, fits)
 
 
 @pytest.mark.parametrize(("form", "seed"), [("dryden", 3), ("one_minus_cosine", 4), ("sines", 5)])

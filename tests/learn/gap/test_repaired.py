@@ -144,7 +144,7 @@ def test_a_parameter_at_its_bound_is_called_so():
 @pytest.mark.parametrize(("low", "high", "told"), [(700.0, 800.0, True), (0.4, 0.9, False), (5.0, 800.0, False)])
 def test_a_value_that_nature_does_not_have_is_told(low, high, told):
     """Tell drag a thousand times that of air, not air's, and not where the interval leaves room for air's."""
-    acting = SimpleNamespace(name="quadratic_drag", label="quadratic_drag")
+    acting = SimpleNamespace(name="quadratic_drag", label="quadratic_drag", known={})
     own = {s.name: Interval(0.5, 0.0, 1.0, s.unit) for s in effect_of("quadratic_drag").law("branch").parameters}
     own["coefficient_kgpm3"] = Interval(0.5 * (low + high), low, high, "kg/m^3")
     contest = SimpleNamespace(case=object.__new__(BranchCase))

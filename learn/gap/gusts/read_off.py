@@ -1,4 +1,4 @@
-"""Gusts of any course named: where nothing else explains a branch that sways untouched and never twice the same.
+"""Gusts of any course read off recordings, and whether they are there: what a branch that sways untouched lacks.
 
 The course is read off every recording, also off those held out: nobody foretells a gust. What it must bear out besides
 is that it explains what is missing in every part of a recording, before the gripper closes, while it holds and after it
@@ -8,24 +8,18 @@ opened, and that it blows on: a branch that was still swinging when a recording 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
 
 from ....sim.base.types import Array
-from ...cases.case import BranchCase
-from ..decide import Decision
-from ..diagnosis import Rival
 from ..models.contest import Batch, Contest, activated
-from ..models.fitted import FURTHER, FittedModels, Model
+from ..models.fitted import FURTHER
 from ..models.refit import Fits, fit
-from ..prepare import Base, prepare
-from ..run import Run
-from ..search import Searched
 from .answers import GUST, acting_along
 from .course import Gusts, Process, rms_of
-from .sway import differs, sways, untouched
+from .sway import differs, untouched
 
 #: Steps of the fits beside a course, and how often the course is read off again about them.
 STEPS, AGAIN = 6, 2
@@ -39,58 +33,23 @@ BLOWS_ON = 0.3
 DECIMALS = 4
 
 
-@dataclass(frozen=True)
-class Blown:
-    """A case with the gusts that were read off it.
+def gusts_in(contest: Contest, plain: Fits) -> tuple[Contest, Fits] | None:
+    """Return a contest along the gusts that were read off, and base and gusts fitted to it; None if there are none.
 
-    Attributes:
-        base: The case prepared, its recordings with their courses.
-        searched: The base model and that with gusts.
-        decision: Gusts, named.
+    Args:
+        contest: Of a branch, with the noise that the data alone show: a search takes gusts for noise.
+        plain: Its base model fitted, a batch of one.
     """
-
-    base: Base
-    searched: Searched
-    decision: Decision
-
-    def ahead_of(self, ranking: tuple[Rival, ...]) -> tuple[Rival, ...]:
-        """Return a ranking with gusts before the others, by the chi-squared that they leave."""
-        fitted, model = self.searched.fitted, self.decision.model
-        more = (ranking[0].reduced_chi2 - fitted.reduced_chi2(model)) * fitted.contest.num_samples
-        ahead = Rival(fitted.labels(model), fitted.reduced_chi2(model), 0.0, fitted.explained(model))
-        return (ahead, *(replace(own, delta=own.delta + more) for own in ranking))
-
-
-def blown(base: Base, searched: Searched, decision: Decision, run: Run) -> Blown | None:
-    """Return a branch with gusts of any course where nothing else is named, and these are; else None.
-
-    The case is prepared anew: a search takes for noise what differs from repeat to repeat, and gusts do.
-    """
-    contest = base.contest
-    possible = isinstance(contest.case, BranchCase) and GUST in contest.names and not base.unusable
-    if decision.verdict != "unknown" or not possible or not sways(contest):
-        return None
-    fresh = prepare(contest.case, replace(run, settings=replace(run.settings, effects=(GUST,))))
-    with run.timed("fits"):
-        found = _gusts(fresh.contest, fresh.fit)
-    if found is None:
-        return None
-    own, fits = found
-    return _named(replace(fresh, contest=own, fit=fits.one(0)), fits, searched.p_value)
-
-
-def _gusts(contest: Contest, plain: Fits) -> tuple[Contest, Fits] | None:
-    """Return a contest along the gusts that were read off, the base and gusts fitted to it; None if there are none."""
     if not differs(contest, contest.residual(plain.batch)[0]):
         return None
     gusts = Process(contest, plain.batch).fit()
     if gusts.deviance > float(plain.chi2[0]) - FURTHER:
         return None
-    own, fits = _read_off(contest, plain, gusts)
-    return (own, fits) if _explains(own, fits) and _blows_on(own, fits) else None
+    own, fits = read_off(contest, plain, gusts)
+    return (own, fits) if explains(own, fits) and blows_on(own, fits) else None
 
 
-def _read_off(contest: Contest, plain: Fits, gusts: Gusts) -> tuple[Contest, Fits]:
+def read_off(contest: Contest, plain: Fits, gusts: Gusts) -> tuple[Contest, Fits]:
     """Return a contest of recordings with their courses, and base and gusts fitted to it.
 
     The course is read off again about the motion with the first one: a branch that is blown far is not linear.
@@ -127,7 +86,7 @@ def _along(contest: Contest, courses: Sequence[Array]) -> Contest:
     return out
 
 
-def _blows_on(contest: Contest, fits: Fits) -> bool:
+def blows_on(contest: Contest, fits: Fits) -> bool:
     """Return whether gusts explain less if they end as a gripper closes: what does not was a swing that lasted."""
     ended = []
     for r in contest.recordings:
@@ -140,7 +99,7 @@ def _blows_on(contest: Contest, fits: Fits) -> bool:
     return without - left > BLOWS_ON * (plain - left)
 
 
-def _explains(contest: Contest, fits: Fits) -> bool:
+def explains(contest: Contest, fits: Fits) -> bool:
     """Return whether gusts explain what the base leaves: of all recordings, and of each part of them."""
     squares = contest.residual(fits.batch) ** 2
     parts = [torch.stack([_of_part(contest, own, k) for own in squares]) for k in range(3)]
@@ -164,13 +123,3 @@ def _of_part(contest: Contest, squares: torch.Tensor, part: int) -> torch.Tensor
         found.append(squares[j, ends[part] : ends[part + 1]].flatten())
     every = torch.cat(found)
     return torch.stack([every.sum(), every.new_tensor(float(len(every)))])
-
-
-def _named(base: Base, fits: Fits, p_value: float) -> Blown:
-    """Return the verdict: gusts, with the base beside them that was there before."""
-    contest = base.contest
-    plain, model = Model((), fits.one(0), settled=True), Model((0,), fits.one(1), settled=True)
-    fitted = FittedModels(contest, plain, [model])
-    acting = contest.candidates[0].acting
-    decision = Decision("effects", plain, model, model, (acting,), {acting.label: ()})
-    return Blown(base, Searched(fitted, p_value), decision)
