@@ -43,16 +43,16 @@ def course_figure(
         held: Whether the gripper may hold, shapes [T].
         titles: Name of each recording.
     """
-    figure = Figure(figsize=(WIDTH, 0.6 + 1.5 * len(t)), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 1.0 + 1.5 * len(t)), layout="constrained")
     rows = figure.subplots(len(t), 1, sharey=True, squeeze=False)[:, 0]
     for ax, time, own, closed, title in zip(rows, t, pressure, held, titles, strict=True):
-        ax.fill_between(time, 0, 1, where=closed, transform=ax.get_xaxis_transform(), color=FAINT, linewidth=0,
-                        label="gripper may hold")  # fmt: skip
+        ax.fill_between(time, 0, 1, where=closed, transform=ax.get_xaxis_transform(), color=FAINT, alpha=0.4,
+                        linewidth=0, label="gripper may hold")  # fmt: skip
         for values, colour, name in zip(own.T, (MODEL, MEASURED), "xy", strict=True):
             ax.plot(time, values, color=colour, label=f"along {name}")
         ax.set_title(title)
         ax.set_ylabel("pressure [Pa]")
-    rows[0].legend(loc="upper right", ncols=3)
+    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
     rows[-1].set_xlabel("time [s]")
     return figure
 
