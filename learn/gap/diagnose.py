@@ -104,6 +104,7 @@ def blown(base: Base, searched: Searched, decision: Decision, run: Run) -> tuple
     acting = own.candidates[0].acting
     named = Decision("effects", plain, model, model, (acting,), {acting.label: ()})
     blowing = replace(fresh, contest=own, fit=plain.fit)
+    run.keep.earlier += contest.world_steps + fresh.contest.world_steps  # from now on those of the new one are counted
     return blowing, Searched(FittedModels(own, plain, [model]), searched.p_value), named
 
 

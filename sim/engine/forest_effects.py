@@ -164,7 +164,8 @@ class ForestEffects(Mapping[str, Mapping[str, torch.Tensor]]):
         self._fields = {name: m.field(kind) for name, kind in kinds.items()}
         self._fields["parameter"] = m.field("Real", places=len(self.terms) * PARAMETERS * stride)
         self._fields["memory"] = m.field("Vec", places=max(1, memory_row(self.terms, len(self.terms)) * stride))
-        self._fields |= {name: self._launcher.field("Vec") for name in ("hold", "effort", "wind", "swirl", "course")}
+        self._fields |= {name: self._launcher.field("Vec") for name in ("hold", "effort", "wind", "swirl")}
+        self._fields["course"] = m.field("Vec", places=1)  # zero: a forest's gusts have a frequency
         types = term_types(m.width, m.precision)
         self.kernel = types.Terms()
         for name, field in self._fields.items():
