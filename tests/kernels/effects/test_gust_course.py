@@ -19,9 +19,9 @@ def test_gusts_along_a_course_do_what_their_pressure_does(tmp_path):
     waves = [np.column_stack([np.sin(w * own), 0.75 * np.cos(w * own)]) for own in t]
     given = [replace(chosen[0], course=waves[0], sways=True), replace(chosen[1], sways=True),
              replace(chosen[2], course=waves[2], sways=True)]  # fmt: skip
-    out = stick(case, chosen=given, wind_gust={"rms_Pa": 20.0})
+    out = stick(case, chosen=given, wind_gust={"rms_Pa": 200.0})
     swayed = [replace(r, sways=True) for r in chosen]
-    expected = stick(case, chosen=swayed, wind_gust={"sine_x_Pa": 20.0, "cosine_y_Pa": 15.0, "frequency_Hz": f})
+    expected = stick(case, chosen=swayed, wind_gust={"sine_x_Pa": 200.0, "cosine_y_Pa": 150.0, "frequency_Hz": f})
     assert np.all(out[1] == 0.0) and np.abs(expected[0, :, :3]).max() > 0.005
     for k in (0, 2):
         np.testing.assert_allclose(out[k], expected[k], atol=2e-3 * np.abs(expected[k]).max())
