@@ -70,8 +70,9 @@ def slipping(j: Any, p: Any, size: Any, y: Any, x: Any, r: Any):
 
 @wp.func
 def pressing(j: Any, p: Any):
-    """T + mu |K phi - P|: friction with what the spring carries, P the preload."""
-    return fma(p.g, norm(j.angle * j.stiffness - j.preload), p.a)
+    """T + mu |K phi - P|, never below zero: friction with what the spring carries, P the preload."""
+    all_of_it = fma(p.g, norm(j.angle * j.stiffness - j.preload), p.a)
+    return where_neg(all_of_it, real(0.0, p.a), all_of_it)
 
 
 @wp.func
@@ -80,7 +81,8 @@ def dry_friction(j: Any, p: Any, r: Any):
     least = real(LEAST_BEND, p.a)
     y = where_neg(p.b - least, least, p.b)
     out = slipping(j, p, pressing(j, p), y, norm(j.rate) / changing(p), r)
-    return type(r)(out.torque, out.memory, fma(p.g, j.stiffness, out.stiffness), out.damping)
+    steep = where_neg(p.g, real(0.0, p.a) - p.g, p.g)  # on the way out or on the way back
+    return type(r)(out.torque, out.memory, fma(steep, j.stiffness, out.stiffness), out.damping)
 
 
 @wp.func
@@ -130,6 +132,8 @@ _STRIBECK_RATE = EffectParameter(
 _STRIBECK_AT_JOINT = replace(_STRIBECK_RATE, low=0.0, high=lambda s: 0.1 * s.rate, neutral=0.0, scale="linear")
 #: What presses on what rubs may be what drives the joint, as in the teeth of a gear, or what the spring carries.
 _LOAD = EffectParameter("load", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True)
+#: A fit that begins with much of it does not find the way back to friction of one size.
+_LOAD_IN_BRANCH = replace(_LOAD, low=-1.0, tries=None)
 
 
 def _further(s: Setting) -> Sequence[tuple[float, ...]]:
@@ -158,7 +162,7 @@ EFFECT = register(
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
         branch=Law(
             "joint",
-            (_TORQUE, _BEND, _GRADUAL, _STRIBECK, _STRIBECK_RATE, kept_share(0.0), _LOAD),
+            (_TORQUE, _BEND, _GRADUAL, _STRIBECK, _STRIBECK_RATE, kept_share(0.0), _LOAD_IN_BRANCH),
             dry_friction,
             memory=1,
             persistent=True,

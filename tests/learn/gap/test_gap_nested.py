@@ -397,6 +397,7 @@ def test_dahls_friction_is_no_hysteresis(branch, share):
     moved = contest.typical[own].clone()
     bend = math.log(2e-4) if share is None else float(contest.high[own[1]]) + math.log(share / 0.06)
     moved[1:3] = torch.tensor([bend, 1.0], dtype=torch.float64)
+    moved[-1] = 0.0  # of the load
     truth.free[0, own] = moved
     contest.measured = contest.simulate(contest.values(truth), truth.start)[0].double()
     begun = activated(contest, contest.base_batch(2), [(k,) for k in range(2)])
@@ -416,6 +417,7 @@ def test_what_a_law_is_taken_for_begins_where_a_scan_finds_it(branch):
     truth = activated(contest, contest.base_batch(1), [(rubs,)])
     own = list(contest.candidates[rubs].columns)
     truth.free[0, own] = contest.typical[own]
+    truth.free[0, own[-1]] = 0.0  # the load: with it there is friction at the least torque too
     contest.measured = contest.simulate(contest.values(truth), truth.start)[0].double()
     best = Model((other,), fit(contest, activated(contest, contest.base_batch(1), [(other,)]), 24), True)
     faint = truth.copy()
