@@ -77,7 +77,7 @@ def test_faulty_rows_are_refused():
         (row, "a second time"),
         (replace(row, name="Dry friction"), "lower-case"),
         (replace(row, name="other", branch=None, joint=None), "no law"),
-        (replace(row, name="other", branch=replace(row.branch, parameters=())), "1 to 9"),
+        (replace(row, name="other", branch=replace(row.branch, parameters=())), "1 to 10"),
         (replace(row, name="other", branch=replace(row.branch, parameters=(p, p))), "different names"),
         (replace(row, name="other", branch=replace(row.branch, law=None)), "a law with its kind"),
         (replace(row, name="other", branch=replace(row.branch, strengths=("size",))), r"strengths \['size'\]"),
