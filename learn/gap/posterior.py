@@ -14,7 +14,6 @@ from ..inference.fit import Modes, climb_until_converged, precision_at
 from ..inference.posterior import Posterior, sample
 from ..inference.settings import default_iterations
 from ..inference.target import Target
-from ..replay.input_noise import Colour
 from ..systems.branch import Unknowns
 from ..systems.system import Parameter
 from .decide import NEAR, Decision
@@ -54,7 +53,7 @@ def posterior_of(contest: Contest, decision: Decision, fitted: Batch, train: Seq
     """
     chosen = [contest.recordings[j] for j in train]
     target = Target(contest.case, chosen, torch.as_tensor(contest.sigma), unknowns=only(contest, fitted))
-    target.colour = _of(contest.colour, train)
+    target.colour = None if contest.colour is None else contest.colour.of(train)
     start = fitted.start[:, list(train)].flatten(1)
     theta = torch.cat([fitted.free[fitted.active][None], start, target.log_noise0[None]], 1)
     theta = climb_until_converged(target, theta)
@@ -65,13 +64,6 @@ def posterior_of(contest: Contest, decision: Decision, fitted: Batch, train: Seq
         checkpoint=run.keep, progress=lambda stage, done: run.progress("sampling", done),
         beyond=_beyond(contest.rigid(), decision, fitted, train),
     )  # fmt: skip
-
-
-def _of(colour: Colour | None, chosen: Sequence[int]) -> Colour | None:
-    """Return the correlation of some recordings."""
-    if colour is None:
-        return None
-    return replace(colour, basis=colour.basis[list(chosen)], gain=colour.gain[list(chosen)])
 
 
 def only(contest: Contest, fitted: Batch) -> Unknowns:

@@ -72,7 +72,7 @@ def write_models(folder: Path, found: Diagnosis) -> None:
 def base_model(model: BranchModel, values: Mapping[str, float]) -> BranchModel:
     """Return the branch before repair: the base model's springs and dampers, no effects."""
     spring, damper = (np.array([values[f"{k} {n}"] for n in model.segment_name]) for k in ("stiffness", "damping"))
-    return replace(model, stiffness=spring, damping=damper, effects=(), claimed=True)
+    return replace(model, stiffness=spring, damping=damper, effects=(), claimed=True, courses={})
 
 
 def content(diagnosis: Diagnosis, *, drawn: bool = True) -> ReportContent:

@@ -73,6 +73,10 @@ class Colour:
         rows = rows - inside.flatten(1, 2) @ self.basis.transpose(1, 2)
         return rows.reshape(flat.shape).movedim(0, -2).unflatten(-1, z.shape[-2:])
 
+    def of(self, chosen: Sequence[int]) -> Colour:
+        """Return that of some of the recordings; their power is not told apart."""
+        return replace(self, basis=self.basis[list(chosen)], gain=self.gain[list(chosen)])
+
     def log_volume(self, share: torch.Tensor) -> torch.Tensor:
         """Return half the log determinant of the covariance in units of the channels' noise, [P] from shares [P]."""
         return 0.5 * torch.log1p(share[:, None, None] * self.gain).sum((-1, -2))

@@ -75,12 +75,13 @@ def acting_along() -> Acting:
     return Acting(GUST, None, {p.name: p.neutral for p in law.parameters if p.name != SIZE})
 
 
-def answers(contest: Contest, base: Batch, recording: Recording, knots: Knots) -> torch.Tensor:
-    """Return the whitened answer to one pascal at every knot, along x and then along y, [2 count, T C].
+def answers(contest: Contest, base: Batch, j: int, knots: Knots) -> torch.Tensor:
+    """Return the whitened answer to one pascal at every knot of recording j, along x and then along y, [2 count, T C].
 
     About the rest of a base model, a batch of one, without any force of a gripper.
     """
     pressure = SMALL * contest.settings[0].force / contest.settings[0].area
+    recording = contest.recordings[j]
     calm = _calm(recording, knots)
     blown = [replace(calm, course=_hat(calm, knots, axis)) for axis in (0, 1)]
     acting = acting_along()
@@ -88,7 +89,9 @@ def answers(contest: Contest, base: Batch, recording: Recording, knots: Knots) -
     values = contest.values(base)[:, : contest.num_base]
     out = Rollout(contest.case, [calm, *blown], 1, unknowns=unknowns, device=contest.device, alone=True)(values)
     change = (out[0, 1:] - out[0, :1]).double() / pressure
-    return _whitened(contest, recording, torch.cat([_shifted(own, recording, knots) for own in change]))
+    shifted = torch.cat([_shifted(own, recording, knots) for own in change])
+    padded = torch.nn.functional.pad(shifted, (0, 0, 0, contest.measured.shape[1] - shifted.shape[1]))
+    return contest.whiten_one(j, padded).flatten(1)
 
 
 def _calm(recording: Recording, knots: Knots) -> Recording:
@@ -120,10 +123,3 @@ def _shifted(answer: torch.Tensor, recording: Recording, knots: Knots) -> torch.
         part = answer[skipped : skipped + length - max(begin, 0)]
         out[k, max(begin, 0) : max(begin, 0) + len(part)] = part
     return out
-
-
-def _whitened(contest: Contest, recording: Recording, change: torch.Tensor) -> torch.Tensor:
-    """Return changes of one recording's channels [K, T, C] whitened as the contest does, [K, T' C]."""
-    j = next(j for j, r in enumerate(contest.recordings) if r is recording)
-    padded = torch.nn.functional.pad(change, (0, 0, 0, contest.measured.shape[1] - change.shape[1]))
-    return contest.whiten_one(j, padded).flatten(1)

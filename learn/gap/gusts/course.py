@@ -64,7 +64,6 @@ class _Part:
     """One recording: products of the answers G [K, N] with themselves, with X [P, N] and with r [N]."""
 
     knots: Knots
-    answers: torch.Tensor
     gram: torch.Tensor
     with_columns: torch.Tensor
     with_residual: torch.Tensor
@@ -86,7 +85,7 @@ class Process:
         case, nuisance = contest.case, contest.nuisance
         assert isinstance(case, BranchCase)
         knots = [knots_of(r, case) for r in contest.recordings]
-        of_knot = [answers(contest, model, r, k) for r, k in zip(contest.recordings, knots, strict=True)]
+        of_knot = [answers(contest, model, j, k) for j, k in enumerate(knots)]
         mean = torch.stack([torch.stack([half.sum(0) for half in own.chunk(2)]) for own in of_knot], 1)
         self._columns = torch.cat([derivative[0].flatten(2), nuisance.columns, mean])
         self._residual = residual[0].flatten(1)
@@ -101,7 +100,7 @@ class Process:
         self._whole = (flat @ flat.T, flat @ self._residual.flatten(), float((self._residual**2).sum()))
 
     def _part(self, j: int, knots: Knots, g: torch.Tensor) -> _Part:
-        return _Part(knots, g, g @ g.T, g @ self._columns[:, j].T, g @ self._residual[j])
+        return _Part(knots, g @ g.T, g @ self._columns[:, j].T, g @ self._residual[j])
 
     def fit(self) -> Gusts:
         """Return the likeliest process, what blew, and the base beside it."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -259,8 +259,7 @@ class Contest:
         z = difference.double() * self._scale[j]
         if self.colour is None:
             return z
-        own = replace(self.colour, basis=self.colour.basis[[j]], gain=self.colour.gain[[j]])
-        return own.whiten(z[:, None], z.new_ones(len(z)))[:, 0]
+        return self.colour.of([j]).whiten(z[:, None], z.new_ones(len(z)))[:, 0]
 
     def residual(self, batch: Batch) -> torch.Tensor:
         """Return whitened measured minus simulated, [S, R, T, C], recordings weighted."""
