@@ -34,8 +34,8 @@ from .terms import (
     MOVING,
     STILL,
     Term,
-    aside,
     is_on,
+    mass_at,
     memory_row,
     slot_of,
     step_of,
@@ -202,7 +202,7 @@ def hold_tip(e: int, row: int, slot: int, m: Any, fx: Any, s: Any):
     i = fx.tip
     mass = fx.parameter[e, slot * PARAMETERS * fx.stride]
     o = real(0.0, mass)
-    arm = fx.end[e, i] + aside(e, 0, slot, fx, s.r[row, i])
+    arm = mass_at(e, i, 0, slot, fx, s.r[row, i])
     place = s.accel[row, i] + rotate(s.pose[row, i], arm)
     lift = s.accel0[row, 0] * mass
     for k in range(1, m.count[e] + 1):

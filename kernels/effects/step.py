@@ -6,8 +6,8 @@ The rest is `articulated.advance_loaded` with these terms:
 
 ``joint``     effort and damper of the law at every joint, the damper implicit
 ``link``      a force on every link, and its moment about the joint
-``tip_mass``  a point mass at the end of every link, or beside it; torques hold it in the springs' rest pose, where
-              there is a spring
+``tip_mass``  a mass at the end of every link, over its last share or beside it; torques hold it in the springs' rest
+              pose, where there is a spring
 
 A law's time is the world's own: ``clock`` counts the seconds since the world's start in float64.
 """
@@ -39,11 +39,11 @@ from .structs import PARAMETERS, effect_types
 from .terms import (
     Present,
     Term,
-    aside,
     effective_damping,
     is_on,
     laws_of,
-    skew_square,
+    mass_at,
+    mass_inertia,
     slot_of,
     strain_of,
     strips_of,
@@ -176,7 +176,7 @@ def hold_ends(e: int, row: int, slot: int, m: Any, fx: Any, s: Any):
         pose = fx.pose[e, i]
         own = lift * fx.parameter[e, slot * PARAMETERS * fx.stride + i]
         force = s.f[row, i] + own
-        moment = add_cross(s.n[row, i], rotate(pose, fx.end[e, i] + aside(e, i, slot, fx, like)), own)
+        moment = add_cross(s.n[row, i], rotate(pose, mass_at(e, i, i, slot, fx, like)), own)
         held = holding(m.kind[e, i], pose, rotate(pose, m.axis[e, i]), moment, force)
         none = o - m.stiffness[e, i]
         fx.hold[row, i] = type(like)(where_neg(none, held.x, o), where_neg(none, held.y, o), where_neg(none, held.z, o))
@@ -224,8 +224,8 @@ def fold_laws(
         effort = u.effort[e, i]
         if is_on(e, at.tip, fx):
             extra = fx.parameter[e, at.tip * PARAMETERS * fx.stride + i]
-            arm = rotate(pose, fx.end[e, i] + aside(e, i, at.tip, fx, mc))
-            A = A + skew_square(arm, A) * extra
+            arm = rotate(pose, mass_at(e, i, i, at.tip, fx, mc))
+            A = A + mass_inertia(e, i, i, at.tip, arm, pose, fx, A)
             mass = mass + extra
             mc = mc + arm * extra
             effort = effort + held_at(e, i, m, x, fx.hold[row, i])

@@ -404,10 +404,28 @@ def centre_velocity(e: int, row: int, i: int, m: Any, s: Any, arm: Any):
 
 
 @wp.func
-def aside(e: int, i: int, slot: int, fx: Any, like: Any):
-    """Where the mass at link i's end hangs beside the end, in the link's axes, of the type of ``like``."""
-    k = slot * PARAMETERS * fx.stride + i
-    return type(like)(fx.parameter[e, k + fx.stride], fx.parameter[e, k + 2 * fx.stride], real(0.0, like.x))
+def mass_at(e: int, i: int, entry: int, slot: int, fx: Any, like: Any):
+    """Centre of the mass that link i carries, in the link's axes, of the type of ``like``; its values are at ``entry``.
+
+    It lies evenly over the last share of the way from the joint to the end, and beside that by what the law says.
+    """
+    k = slot * PARAMETERS * fx.stride + entry
+    half = real(1.0, like.x) - real(0.5, like.x) * fx.parameter[e, k + 3 * fx.stride]
+    end = fx.end[e, i]
+    x, y = fx.parameter[e, k + fx.stride], fx.parameter[e, k + 2 * fx.stride]
+    return type(like)(fma(end.x, half, x), fma(end.y, half, y), end.z * half)
+
+
+@wp.func
+def mass_inertia(e: int, i: int, entry: int, slot: int, arm: Any, pose: Any, fx: Any, like: Any):
+    """Inertia about the joint of the mass at ``arm``, in the world's axes, the type of ``like`` a symmetric matrix's.
+
+    m (|a|^2 1 - a a^T), and of a rod of length l about its own centre m / 12 (|l|^2 1 - l l^T).
+    """
+    k = slot * PARAMETERS * fx.stride + entry
+    mass = fx.parameter[e, k]
+    own = rotate(pose, fx.end[e, i]) * fx.parameter[e, k + 3 * fx.stride]
+    return skew_square(arm, like) * mass + skew_square(own, like) * (mass / real(12.0, mass))
 
 
 @wp.func
@@ -459,8 +477,8 @@ def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float6
         if at.tip >= 0:
             if i == fx.tip:
                 extra = fx.parameter[e, at.tip * PARAMETERS * fx.stride]
-                arm = rotate(pose, fx.end[e, i] + aside(e, 0, at.tip, fx, mc))
-                A = A + skew_square(arm, A) * extra
+                arm = rotate(pose, mass_at(e, i, 0, at.tip, fx, mc))
+                A = A + mass_inertia(e, i, 0, at.tip, arm, pose, fx, A)
                 mass = mass + extra
                 mc = mc + arm * extra
         B = skew(mc, s.U[row, i])

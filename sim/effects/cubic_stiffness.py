@@ -21,21 +21,23 @@ def cubic_stiffness(j: Any, p: Any, r: Any):
 
 @wp.func
 def cubic_ball(j: Any, p: Any, r: Any):
-    """tau = -K ((1 - m) g(|phi|^2) phi + m (g(phi_x^2) phi_x, ...)),  g(u) = kappa u + lambda (kappa u)^2, m in [0, 1].
+    """tau = -K ((1 - m) g(|phi|^2) phi + m (g(phi_x^2) phi_x, ...)),  g(u) = (1 - q^2) kappa u + 2 q (kappa u)^2.
 
-    Its steepest tangent is K (3 kappa u + 5 lambda (kappa u)^2) at u = |phi|^2.
+    m from 0 to 1; with q from -1 to 1 that is every cubic beside every quintic. Its steepest tangent is
+    K (3 (1 - q^2) kappa u + 10 q (kappa u)^2) at u = |phi|^2.
     """
     o = real(0.0, p.a)
     one = real(1.0, o)
     a = j.angle
+    cubic, quintic = fma(o - p.c, p.c, one), p.c + p.c
     x, y, z = p.a * a.x * a.x, p.a * a.y * a.y, p.a * a.z * a.z
     whole = x + y + z
-    joint = (one - p.b) * whole * fma(p.c, whole, one)
+    joint = (one - p.b) * whole * fma(quintic, whole, cubic)
     torque = type(a)(
-        a.x * fma(p.b * x, fma(p.c, x, one), joint), a.y * fma(p.b * y, fma(p.c, y, one), joint),
-        a.z * fma(p.b * z, fma(p.c, z, one), joint),
+        a.x * fma(p.b * x, fma(quintic, x, cubic), joint), a.y * fma(p.b * y, fma(quintic, y, cubic), joint),
+        a.z * fma(p.b * z, fma(quintic, z, cubic), joint),
     )  # fmt: skip
-    tangent = j.stiffness * whole * fma(real(5.0, o) * p.c, whole, real(3.0, o))
+    tangent = j.stiffness * whole * fma(real(5.0, o) * quintic, whole, real(3.0, o) * cubic)
     return type(r)(torque * (o - j.stiffness), r.memory, where_neg(tangent, o, tangent), o)
 
 
@@ -50,8 +52,8 @@ EFFECT = register(
         name="cubic_stiffness",
         plain="a spring that gets stiffer or softer the further it bends",
         summary="torque -K (phi + kappa |phi|^2 phi): the spring stiffens (kappa > 0) or softens with the angle; at a"
-        " ball joint a share of it may act about each axis of the segment by itself, kappa phi_k^3, and"
-        " lambda kappa^2 |phi|^4 phi may end the softening",
+        " ball joint a share of it may act about each axis of the segment by itself, kappa phi_k^3, and a quintic may"
+        " end the softening or stand for the cubic, (1 - q^2) kappa |phi|^2 phi + 2 q kappa^2 |phi|^4 phi",
         source="Duffing 1918; Kovacic & Brennan, The Duffing Equation (2011), chapter 2",
         signature="frequency and stiffness depend on amplitude, alike in both directions and in hold and release",
         mistaken_for=("bilinear_stiffness", "force_scale"),
@@ -61,7 +63,7 @@ EFFECT = register(
             (
                 _CUBIC_OF_BRANCH,
                 EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True),
-                EffectParameter("quintic", "1", 0.0, 2.0, tries=lambda s: [0.0], optional=True),
+                EffectParameter("quintic", "1", -1.0, 1.0, optional=True),
             ),
             cubic_ball,
             throughout=True,

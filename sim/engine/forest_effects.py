@@ -106,7 +106,7 @@ class ForestEffects(Mapping[str, Mapping[str, torch.Tensor]]):
     """The effects of a simulator: ``effects[name][parameter]`` is a torch tensor on the device, to be written in place.
 
     Laws at joints have a value a world and link (the link that the joint moves), shape [worlds, links], and so has
-    `tip_mass` (a point mass at the end of the link); others one a world, shape [worlds]. A world with fewer links than
+    `tip_mass` (a mass at the end of the link); others one a world, shape [worlds]. A world with fewer links than
     the largest does not read the last columns. All start at the neutral value, at which an effect is off. What is
     written acts from the next `Simulator.step` on.
 

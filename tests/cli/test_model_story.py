@@ -24,7 +24,7 @@ FRICTION = {
     "kept": 0.5,
     "load": 0.02,
 }
-MASS = {"mass_kg": 0.15, "aside_x_m": 0.02, "aside_y_m": 0.0}
+MASS = {"mass_kg": 0.15, "aside_x_m": 0.02, "aside_y_m": 0.0, "spread": 0.0}
 EFFECTS = (
     Acting("dry_friction", 0, FRICTION),
     Acting("tip_mass", None, MASS),
@@ -75,7 +75,7 @@ def test_known_effects_act_while_springs_are_learnt(bough, here):
     ]
     page = Path("out/report.html").read_text()
     said = ", ".join(f"{name} {value:g}" for name, value in FRICTION.items())
-    assert page.count(f"dry_friction@0 ({said}), tip_mass (mass_kg 0.15, aside_x_m 0.02, aside_y_m 0)") == 1
+    assert page.count(f"dry_friction@0 ({said}), tip_mass (mass_kg 0.15, aside_x_m 0.02, aside_y_m 0, spread 0)") == 1
 
 
 def test_models_that_do_not_fit_the_case(bough, here):

@@ -82,6 +82,7 @@ def test_a_run_among_branches_with_effects(bough, tmp_path):
     assert done.code == 0 and "left out: time_delay: of the measurement" in done.err, done.err
     spring = SEGMENTS[1]["stiffness_Nmprad"]
     expected = [["tip_mass", "mass_kg", 0.08], ["tip_mass", "aside_x_m", 0.0], ["tip_mass", "aside_y_m", 0.0],
+                ["tip_mass", "spread", 0.0],
                 ["dry_friction", "torque_Nm", 0.21 / spring],
                 *(["dry_friction", *rest] for rest in (["bend_rad", 5e-4], ["gradual", 0.0], ["stribeck", 0.0],
                                                        ["stribeck_radps", 1.0], ["kept", 0.0],
@@ -94,7 +95,7 @@ def test_a_run_among_branches_with_effects(bough, tmp_path):
     report = (out / "report.html").read_text()
     rest = "bend_rad 0.0005, gradual 0, stribeck 0, stribeck_radps 1, kept 0, load 0"
     friction = f"dry_friction (torque_Nm over its spring {0.21 / spring:.3g}, {rest})"
-    assert f"tip_mass (mass_kg 0.08, aside_x_m 0, aside_y_m 0), {friction}" in report
+    assert f"tip_mass (mass_kg 0.08, aside_x_m 0, aside_y_m 0, spread 0), {friction}" in report
     done = bough("evaluate", out, "--sets", 1, "--worlds", 8, "--device", "cpu", "--json")
     assert done.code == 0, done.err
     json_page.check("evaluate", json.loads(done.out))

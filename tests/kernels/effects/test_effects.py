@@ -433,14 +433,16 @@ def test_what_an_open_gripper_reads_is_the_offset_of_its_recording(tmp_path):
     assert np.abs(stick(read, force_bias={"opened": 0.9}, force_scale={"scale": 1.2}) - undone).max() > 1e-4
 
 
-@pytest.mark.parametrize(("separate", "quintic"), [(0.0, 0.0), (0.0, 0.5), (1.0, 0.5), (0.4, 1.5)])
-def test_a_softening_spring_holds_a_stick(tmp_path, separate, quintic):
-    """Rest where K (phi + kappa phi^3 + lambda kappa^2 phi^5), round or about each axis, and weight balance a force."""
-    kappa = -6.0
+@pytest.mark.parametrize(
+    ("kappa", "separate", "quintic"),
+    [(-6.0, 0.0, 0.0), (-6.0, 0.0, 0.2), (-6.0, 1.0, 0.2), (20.0, 0.4, 1.0), (-14.0, 0.0, -1.0)],
+)
+def test_a_spring_that_softens_or_stiffens_holds_a_stick(tmp_path, kappa, separate, quintic):
+    """Rest where K (phi + (1 - q^2) kappa phi^3 + 2 q kappa^2 phi^5), round or an axis, and weight balance a force."""
     case = stick_case(tmp_path / "c", [held(300, 1.5 * FORCE)])
 
     def cubic(u):
-        return kappa * u + quintic * (kappa * u) ** 2
+        return (1.0 - quintic**2) * kappa * u + 2.0 * quintic * (kappa * u) ** 2
 
     def spring(phi):
         return -KS * phi * (1.0 + (1.0 - separate) * cubic(phi @ phi) + separate * cubic(phi**2))
@@ -575,7 +577,7 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
     acting = (*(Acting(n, 0) for n in at_joint), *(Acting(n) for n in elsewhere))
     at_values = [0.3, 0.05, 1.4, 0.7, 0.3, 0.6, 0.4, 0.4, 0.05, 0.5, 0.3, 0.1]
     other_values = [20.0, 30.0, -20.0, 5.0, 0.9, 0.3, 0.4, 0.3, 0.2, 7.0, 10.0, 5.0, -5.0, 0.6, 0.2, 0.5]
-    other_values += [0.01, 0.015, 0.02, 0.03, -0.01]
+    other_values += [0.01, 0.015, 0.02, 0.03, -0.01, 0.4]
     other_values += [0.05, 0.5, 0.1, -0.1, 0.2, 1.2, 1.1, 0.9, 0.3, 10.0, 0.04]
     values = torch.tensor([[KS, DS, *at_values, *other_values]])
     outs = []
@@ -583,6 +585,6 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
         monkeypatch.setattr("bough.learn.replay.worlds.simd_width", lambda w=width: w)
         rollout = Rollout(case, recordings(case), 2, unknowns=Unknowns(effects=acting))
         order = [p.name for p in rollout.system.parameters]
-        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 46
+        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 47
         outs.append(rollout(values.repeat(2, 1)).clone())
     assert (outs[0] == outs[1]).all() and torch.isfinite(outs[0]).all()

@@ -72,18 +72,21 @@ def close(ours, wanted):
     np.testing.assert_allclose(ours, wanted, atol=0.015 * np.abs(wanted).max())
 
 
-def test_tip_mass_equals_a_heavier_model(tmp_path):
-    """Move as MuJoCo does with the mass in the link's own mass, centre and inertia."""
+@pytest.mark.parametrize("spread", [0.0, 0.8])
+def test_tip_mass_equals_a_heavier_model(tmp_path, spread):
+    """Move as MuJoCo does with the mass in the link's own mass, centre and inertia, at the end or along the stick."""
     case, extra = stick_case(tmp_path / "c", [push()]), 0.25
     tree = measured_tree(case, [KS], [DS])
-    mass, com, tip = tree.mass[0], tree.com[0], np.array([0.0, 0.0, 0.5])
+    mass, com, tip = tree.mass[0], tree.com[0], np.array([0.0, 0.0, 0.5 * (1 - spread / 2)])
     centre = (mass * com + extra * tip) / (mass + extra)
     about = tree.inertia[0].copy()
     for m, p in ((mass, com), (extra, tip)):
         d = p - centre
         about += m * (d @ d * np.eye(3) - np.outer(d, d))
+    about += extra * (spread * 0.5) ** 2 / 12 * np.diag([1.0, 1.0, 0.0])  # a thin rod's own
     heavy = hold_rest_pose(tree.with_(mass=[mass + extra], com=centre[None], inertia=about[None]))
-    ours = simulate(case, KS, DS, form="branch", without=("base_compliance",), tip_mass={"mass_kg": extra})[0, :, :3]
+    hung = {"mass_kg": extra, "spread": spread}
+    ours = simulate(case, KS, DS, form="branch", without=("base_compliance",), tip_mass=hung)[0, :, :3]
     wanted = by_mujoco(heavy, 0, push())
     close(ours, wanted)
     assert np.abs(by_mujoco(tree, 0, push()) - wanted).max() > 0.1 * np.abs(wanted).max()
@@ -286,7 +289,7 @@ BRANCH_TRUTH = {
     "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6, 1.0, 0.5),
     "quadratic_drag": (25.0, 0.4, 0.3, 0.6, 0.2),
     "viscoelastic_sls": (0.5, 0.3, 0.4, 0.04, 0.5),
-    "tip_mass": (0.2, 0.05, -0.03),
+    "tip_mass": (0.2, 0.05, -0.03, 0.4),
     "base_compliance": (0.02, 0.1, 0.02, 0.3, 1.2, 0.7, 4e-3, 0.03),
     "backlash": (0.03, 0.5, 0.1, 0.3, 1.0),
     "plastic_set": (0.4, 0.1, 0.6, 0.5, 0.1),

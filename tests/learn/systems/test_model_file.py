@@ -26,7 +26,7 @@ FRICTION = {
     "kept": 0.6,
     "load": 0.1,
 }
-MASS = {"mass_kg": 0.1, "aside_x_m": 0.01, "aside_y_m": -0.02}
+MASS = {"mass_kg": 0.1, "aside_x_m": 0.01, "aside_y_m": -0.02, "spread": 0.3}
 EFFECTS = (Acting("dry_friction", 0, FRICTION), Acting("tip_mass", None, MASS))
 MODEL = BranchModel("found", ("stick",), np.array([20.0]), np.array([1 / 3]), EFFECTS)
 QUICK = Settings(particles=16, iterations=20)

@@ -186,22 +186,32 @@ def test_bilinear_spring_of_a_hinge_is_about_its_own_axis():
     np.testing.assert_allclose([q[0] for q in sim.state.qpos()], wanted, rtol=1e-6)
 
 
+def square(d):
+    """Return |d|^2 1 - d d^T of every row, shape [N, 3, 3]."""
+    return (d * d).sum(1)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None, :]
+
+
 def test_masses_at_the_ends_equal_a_heavier_tree():
     """Move as the plain step does with every mass in its link's own, the pre-loads holding both, in a mixed tree."""
     rng = np.random.default_rng(5)
     grown = random_tree(rng, 9, joints=MIXED[:3], stiffness=(20.0, 200.0), damping_ratio=(0.3, 1.0))
     extra = rng.uniform(0.05, 0.3, 9) * (np.arange(9) != 4)
     ours, aside = simulator([hold_rest_pose(grown)], ALL, gravity=9.81), rng.uniform(-0.1, 0.1, (9, 3)) * [1, 1, 0]
-    end = grown.shape_end[np.argsort(grown.shape_link)] + quat_rotate(ours.model.links.frame, aside)
+    spread = rng.uniform(0.0, 1.0, 9) * (np.arange(9) % 2)
+    end = grown.shape_end[np.argsort(grown.shape_link)]
+    rod = spread[:, None] * (end - grown.anchor)  # the part of the way from the joint to the end
+    end = end - rod / 2 + quat_rotate(ours.model.links.frame, aside)
     mass = grown.mass + extra
     centre = (grown.mass[:, None] * grown.com + extra[:, None] * end) / mass[:, None]
     inertia = grown.inertia.copy()
     for m, p in ((grown.mass, grown.com), (extra, end)):
         d = p - centre
-        inertia += m[:, None, None] * ((d * d).sum(1)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None, :])
+        inertia += m[:, None, None] * square(d)
+    inertia += extra[:, None, None] / 12 * square(rod)
     heavy = hold_rest_pose(grown.with_(mass=mass, com=centre, inertia=inertia))
     start, plain = [random_qpos(rng, grown, 0.2)], simulator([heavy], (), gravity=9.81)
-    for name, given in (("mass_kg", extra), ("aside_x_m", aside[:, 0]), ("aside_y_m", aside[:, 1])):
+    for name, given in (("mass_kg", extra), ("aside_x_m", aside[:, 0]), ("aside_y_m", aside[:, 1]),
+                        ("spread", spread)):  # fmt: skip
         ours.effects["tip_mass"][name].copy_(torch.as_tensor(given)[None])
     for sim in (plain, ours):
         begin(sim, start)
@@ -247,7 +257,7 @@ def test_a_chain_moves_as_in_the_replay_of_a_case(tmp_path):
     case = write_simulated_case(tmp_path / "case", random_branch(rng, 3), truth, still, trajectories=1, seed=4)
     on = {"dry_friction": {"torque_Nm": 0.1}, "cubic_stiffness": {"cubic_radm2": 2.0},
           "viscoelastic_sls": {"share": 0.4, "relaxation_s": 0.3}, "quadratic_drag": {"coefficient_kgpm3": 4.0},
-          "tip_mass": {"mass_kg": 0.05, "aside_x_m": 0.04, "aside_y_m": -0.03},
+          "tip_mass": {"mass_kg": 0.05, "aside_x_m": 0.04, "aside_y_m": -0.03, "spread": 0.6},
           "anisotropic_stiffness": {"relative": 0.5, "axis_rad": 0.4}}  # fmt: skip
     without = tuple(e.name for e in effects() if e.name not in on)
     replay = simulate(case, stiffness, damping, form="branch", without=without, chosen=recordings(case), **on)
