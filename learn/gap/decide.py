@@ -324,10 +324,11 @@ def known(fitted: FittedModels, model: Model) -> bool:
     """Return whether a model explains enough for its effects to be named.
 
     Two effects of a branch, and even more one law at two joints, imitate many unknown ones, so they must explain nearly
-    all. What breaks does so under a load.
+    all. What breaks does so under a load. What strikes a stop must leave nothing but noise.
     """
     case = fitted.contest.case
-    if isinstance(case, BranchCase) and fitted.reduced_chi2(model) > QUIET and breaks_untouched(fitted, model):
+    loud = isinstance(case, BranchCase) and fitted.reduced_chi2(model) > QUIET
+    if loud and (breaks_untouched(fitted, model) or strikes(fitted, model)):
         return False
     if isinstance(case, BranchCase) and len(set(fitted.names(model))) < len(model.members):
         return fitted.explained(model) >= TWICE and not _staircase(fitted, model)
@@ -381,6 +382,17 @@ def breaks_untouched(fitted: FittedModels, model: Model) -> bool:
     candidates = [contest.candidates[c] for c in model.members]
     breaking = [c for c in candidates if effect_of(c.name).law("branch").moment]
     return any(not _pulled(contest.case, *_breaks(contest, model, c)) for c in breaking)
+
+
+def strikes(fitted: FittedModels, model: Model) -> bool:
+    """Return whether a spring of a branch stiffens in a model from an angle on, as a branch does that strikes a stop.
+
+    A stop or a cord outside acts at every joint below it, so that a spring at one joint leaves a part of it.
+    """
+    candidates = [fitted.contest.candidates[c] for c in model.members]
+    offs = [k for c in candidates if c.name == "bilinear_stiffness"
+            for k, s in zip(c.columns, c.specs, strict=True) if s.name == "off_rad"]  # fmt: skip
+    return any(_way_up(fitted, model, k) < 0.5 - NEAR for k in offs)
 
 
 def _breaks(contest: Contest, model: Model, candidate: Candidate) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import warp as wp
 
 from ...kernels.lanes.algebra import add, div, dot, mul, sub
 from ...kernels.lanes.real import cos_root, fma, real, sin_ratio, sqrt_, where_neg
-from .registry import Effect, EffectParameter, Law, axis_parameter, register
+from .registry import Effect, EffectParameter, Law, Setting, axis_parameter, register
 
 #: Share of its stiffness that a spring may lose.
 LARGEST = wp.constant(wp.float64(0.9))
@@ -24,8 +24,8 @@ def ramp(x: Any, w: Any):
 def bilinear_stiffness(j: Any, p: Any, r: Any):
     """tau = -K ((rel + back) (ramp(x - s) - ramp(-s)) - back x) n, x = phi . n, n = (cos psi, sin psi, 0).
 
-    That is K (1 + rel) for x > s and K (1 - back) below, back = min(split rel, LARGEST). The corner lies at s, d from
-    rest, where the spring is the softer one beyond it: s = d for rel < 0, -d for rel > 0.
+    That is K (1 + rel) for x > s and K (1 - back) below, back = min(split rel, LARGEST). The corner lies at s, |d| from
+    rest: s = d for rel < 0, -d for rel > 0, so that beyond it the spring is softer for d > 0 and stiffer for d < 0.
     """
     o = real(0.0, p.a)
     n = type(r.torque)(cos_root(p.b * p.b), sin_ratio(p.b * p.b) * p.b, o)
@@ -67,23 +67,29 @@ _WIDTH = EffectParameter(
     "corner_rad", "rad", 1e-4, lambda s: max(0.05, 0.5 * s.angle), 0.005, "log", 0.005, tries=lambda s: [0.005],
     optional=True,
 )  # fmt: skip
-#: How far the spring goes on from rest as it is at rest before it softens. It does not stiffen from an angle on: a cord
-#: that is slack at rest would pass for that. One that softens far from rest is hardly told from one that is softer
-#: about an axis both ways.
+#: How far the spring goes on from rest as it is at rest before it softens, or below zero before it stiffens. A cord
+#: that is slack at rest nearly passes for the latter (`learn.gap.decide`). One that softens far from rest is hardly
+#: told from one that is softer about an axis both ways.
 _OFF = EffectParameter(
-    "off_rad", "rad", 0.0, lambda s: 0.7 * s.angle, tries=lambda s: [0.0], optional=True,
-    becomes="anisotropic_stiffness", becomes_from=0.25,
+    "off_rad", "rad", lambda s: -0.7 * s.angle, lambda s: 0.7 * s.angle, tries=lambda s: [0.0], optional=True,
+    becomes="anisotropic_stiffness", becomes_from=0.625,
 )  # fmt: skip
 #: Wood that carries tension one way and compression the other has both changed, about a mean that is K across.
 _SPLIT = EffectParameter("split", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True)
+
+
+def _further(s: Setting) -> Sequence[tuple[float, ...]]:
+    """Springs that stiffen from an angle on."""
+    return [(2.0, k * math.pi / 4.0, 0.005, -share * s.angle, 0.0) for share in (0.1, 0.4) for k in range(8)]
+
 
 EFFECT = register(
     Effect(
         name="bilinear_stiffness",
         plain="a spring that is stiffer one way than the other",
         summary="stiffness K (1 + rel) where the joint bends one way about an axis across the segment, K the other way;"
-        " the change is gradual over a corner, which in a branch may lie at an angle d from rest, where the spring"
-        " softens, and the other way the stiffness may be K (1 - split rel)",
+        " the change is gradual over a corner, which in a branch may lie at an angle d from rest, from where on the"
+        " spring softens, or stiffens, and the other way the stiffness may be K (1 - split rel)",
         source="Shaw & Holmes 1983, J. Sound Vib. 90:129; corner rounded",
         signature="pushes to the two sides differ in stiffness; releases swing with unequal half periods",
         mistaken_for=("cubic_stiffness", "anisotropic_stiffness", "backlash"),
@@ -93,6 +99,7 @@ EFFECT = register(
             (_REL, axis_parameter(circle=True, tries=8), _WIDTH, _OFF, _SPLIT),
             bilinear_stiffness,
             mirror=other_side,
+            further=_further,
         ),
         joint=Law("joint", (_REL, _CORNER), bilinear_joint),
     )

@@ -394,6 +394,28 @@ def test_of_twist_a_share_plays(tmp_path, twist):
     np.testing.assert_allclose(settled(stick(case, **on)[0]), expected, atol=3e-4)
 
 
+@pytest.mark.parametrize(("single", "uneven"), [(0.0, 0.0), (0.0, 0.3), (1.0, -0.3), (0.6, 0.0)])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_play_about_an_axis(tmp_path, single, uneven, side):
+    """Rest where a gap from -g (1 - u) to g (1 + u) about an axis does, and about the others a share of the play."""
+    case, gap, psi, left = stick_case(tmp_path / "c", [held(300, side * FORCE)]), 0.02, 0.7, 0.2
+    on = {"separate": 1.0, "left": left, "twist": 1.0, "axis_rad": psi, "single": single, "uneven": uneven}
+    c, s = np.cos(psi), np.sin(psi)
+    axes, share = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]), np.array([1.0, 1.0 - single, 1.0 - single])
+    low, high = -gap * np.array([1.0 - uneven, 1.0, 1.0]), gap * np.array([1.0 + uneven, 1.0, 1.0])
+
+    def spring(phi, axes=axes, share=share, low=low, high=high):
+        return KS * ((1.0 - left) * (axes.T @ (share * np.clip(share * (axes @ phi), low, high))) - phi)
+
+    def along(phi):
+        return KS * ((1.0 - left) * np.clip(phi, -gap, gap) - phi)
+
+    expected, plain = (resting(case, spring, lambda R: side * FORCE) for spring in (spring, along))
+    assert np.linalg.norm(expected - plain) > 1e-3
+    out = stick(case, backlash={"gap_rad": gap, **on})[0]
+    np.testing.assert_allclose(settled(out), expected, atol=3e-4)
+
+
 @pytest.mark.parametrize(
     ("tared", "left", "taken"), [(0.0, 1.0, 0.0), (1.0, 1.0, 1.0), (1.4, 0.6, 1.0), (2.0, 0.0, 1.0)]
 )

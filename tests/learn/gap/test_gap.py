@@ -357,7 +357,7 @@ def test_a_spring_that_pulls_one_way_must_explain_nearly_all():
     for left, claimed in ((1100, True), (1400, True), (1480, False)):
         fitted = field_of({(0,): left}, base=9000.0)
         one_sided = SimpleNamespace(name="bilinear_stiffness", label="", known={})
-        fitted.contest.candidates[0] = Candidate(one_sided, (0,), SimpleNamespace(parameters=()))
+        fitted.contest.candidates[0] = Candidate(one_sided, (), SimpleNamespace(parameters=()))
         assert known(fitted, fitted.models[0]) is claimed
 
 
@@ -418,6 +418,19 @@ def test_what_breaks_does_so_under_a_load(left, moment, claimed):
     runs = tuple(SimpleNamespace(t_start=x, t=t, no_contact=(t < 2.0) | (t > 6.0)) for x in (5.0, 30.0))
     object.__setattr__(fitted.contest.case, "trajectories", runs)
     fitted.contest.values = lambda batch: torch.tensor([[0.3, moment, 0.0, 0.6, 0.0, 0.0]])
+    assert known(fitted, fitted.models[0]) is claimed
+
+
+@pytest.mark.parametrize(("left", "off", "claimed"), [(1300, 0.1, True), (1300, -0.1, False), (1100, -0.1, True)])
+def test_a_spring_that_strikes_a_stop_must_leave_noise(left, off, claimed):
+    """Claim a spring that softens from an angle on if it explains 0.96, one that stiffens if it leaves noise alone."""
+    fitted = field_of({(0,): left}, base=9000.0)
+    fitted.contest.candidates[0] = Candidate(
+        SimpleNamespace(name="bilinear_stiffness", label="", known={}), tuple(range(5)),
+        effect_of("bilinear_stiffness").branch,
+    )  # fmt: skip
+    fitted.contest.low, fitted.contest.high = torch.full((5,), -0.7), torch.full((5,), 0.7)
+    fitted.models[0].fit.batch = SimpleNamespace(free=torch.tensor([[0.5, 0.3, 0.01, off, 0.0]]))
     assert known(fitted, fitted.models[0]) is claimed
 
 
