@@ -70,6 +70,9 @@ KEPT, LOST = 0.6, 0.1
 TIED = 12.0
 #: Share of the excess by which a law may explain less than one that ends where it becomes this law.
 TURNED = 0.03
+#: Share of what a branch's force sensor reads of an open gripper by which its offset may differ from that in the mean.
+#: Right offsets of an independent generator differ by 0.03 to 0.2, one in the place of a tool's weight by 0.52.
+MISREAD = 0.35
 #: Reduced chi-squared of a branch's base up to which nothing is missing, however rare the gain of an effect would be
 #: by chance: two simulators of one branch differ by as much. Bases that right names repaired left 1.43 or more.
 NOISE_ALONE = 1.05
@@ -177,7 +180,20 @@ def _becomes(fitted: FittedModels, model: Model, candidate: int) -> list[str]:
             out.append(s.becomes)
         if s.below and _way_up(fitted, model, k) <= NEAR:
             out.append(s.below)
-    return out
+    return [*out, "gravity_comp_error"] if _misread(fitted.contest, model, own) else out
+
+
+def _misread(contest: Contest, model: Model, candidate: Candidate) -> bool:
+    """Return whether an effect is an offset of a branch's force that is not what the sensor reads of an open gripper.
+
+    A weight that turns with the gripper reads otherwise once it holds the branch; an offset does not.
+    """
+    if candidate.name != "force_bias" or not isinstance(contest.case, BranchCase):
+        return False
+    read = np.mean([r.opened for r in contest.recordings], axis=0)
+    *offset, share = contest.values(model.fit.batch)[0, list(candidate.columns)].tolist()
+    beside = np.array(offset) + (share - 1.0) * read
+    return 0.0 < MISREAD * float(np.linalg.norm(read)) < float(np.linalg.norm(beside))
 
 
 def _way_up(fitted: FittedModels, model: Model, column: int) -> float:

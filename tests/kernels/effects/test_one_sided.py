@@ -9,11 +9,11 @@ from oracles.effect_case import FORCE, KS, held, resting, settled, stick, stick_
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("off", [0.03, -0.03])
 def test_a_one_sided_spring_changes_at_an_angle_from_rest(tmp_path, relative, split, way, off):
-    """Rest where a spring with its corner at the angle |d| does, whose stiff side holds the rest pose; soft for d < 0.
+    """Rest where a spring with its corner at the angle |d| does, whose stiff side holds the rest pose, or the soft one.
 
-    Pushed to either side; bent the way that holds the rest pose it only stays as it is. The corner is rounded over 0.1 mrad, of which half
-    is lacking beyond it. A share of the change may be made the other way round below the corner, of which a tenth of
-    the stiffness is left at least.
+    Pushed to either side; bent the way that holds the rest pose it only stays as it is. The corner is rounded over
+    0.1 mrad, of which half is lacking beyond it. A share of the change may be made the other way round below the
+    corner, of which a tenth of the stiffness is left at least.
     """
     case, psi = stick_case(tmp_path / "c", [held(force=way * FORCE)]), 0.7
     n = np.array([np.cos(psi), np.sin(psi), 0.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from bough.learn.cases.case import load_case
+from bough.learn.cases.case import BranchCase, load_case
 from bough.learn.gap.consistent import sentence
 from bough.learn.gap.decide import Decision, _turned_into
 from bough.learn.gap.diagnose import find_missing
@@ -328,6 +328,30 @@ def test_a_spring_that_softens_far_from_rest_is_a_softer_one(off, left, turned):
     """Take the other spring that explains as much as one-sided softening beyond a quarter of how far it may be."""
     plain = EffectParameter("relative", "1", 0.0, 1.0)
     specs = {"bilinear_stiffness": effect_of("bilinear_stiffness").branch.parameters[3], "anisotropic_stiffness": plain}
-    fitted = turning(specs, (0, 0), (1030.0, left), off)
+    fitted = turning(specs, (0, 0), (1030.0, left), 0.5 + 0.5 * off)  # it may stiffen by as much
     sided, other = fitted.models
     assert _turned_into(fitted, sided) is (other if turned else sided)
+
+
+@pytest.mark.parametrize(
+    ("offset", "read", "left", "turned"),
+    [([0.0, 0.02, 0.04, 0.0], 0.066, 1050.0, True), ([0.0, 0.02, 0.04, 0.0], 0.066, 1200.0, False),
+     ([0.0, 0.01, 0.06, 0.0], 0.066, 1050.0, False), ([0.0, 0.0, 0.01, 1.0], 0.066, 1050.0, False),
+     ([0.0, 0.02, 0.04, 0.0], 0.0, 1050.0, False)],
+)  # fmt: skip
+def test_an_offset_that_an_open_gripper_does_not_read_is_a_weight(offset, read, left, turned):
+    """Take a tool's weight that explains as much where the offset is another than the open gripper's by a third.
+
+    What is read of an open gripper may be most of the offset; and where nothing is, it says nothing.
+    """
+    plain = EffectParameter("mass_kg", "kg", 0.0, 1.0)
+    fitted = turning({"force_bias": plain, "gravity_comp_error": plain}, (None, None), (1030.0, left), 0.5)
+    contest = fitted.contest
+    contest.case, contest.recordings = (
+        BranchCase.__new__(BranchCase),
+        [SimpleNamespace(opened=np.array([0.0, 0.0, read]))],
+    )
+    contest.candidates[0] = Candidate(Acting("force_bias"), (0, 1, 2, 3), effect_of("force_bias").branch)
+    contest.values = lambda batch: torch.tensor([offset])
+    biased, other = fitted.models
+    assert _turned_into(fitted, biased) is (other if turned else biased)
