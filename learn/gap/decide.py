@@ -70,8 +70,9 @@ KEPT, LOST = 0.6, 0.1
 TIED = 12.0
 #: Share of the excess by which a law may explain less than one that ends where it becomes this law.
 TURNED = 0.03
-#: Share of what a branch's force sensor reads of an open gripper by which its offset may differ from that in the mean.
-#: Right offsets of an independent generator differ by 0.03 to 0.2, one in the place of a tool's weight by 0.52.
+#: Share of what a branch's force sensor reads of an open gripper by which its offset may differ from that, both of the
+#: root mean square over recordings.
+#: Two right offsets of an independent generator differ by 0.003 and 0.07, one in the place of a tool's weight by 0.52.
 MISREAD = 0.35
 #: Reduced chi-squared of a branch's base up to which nothing is missing, however rare the gain of an effect would be
 #: by chance: two simulators of one branch differ by as much. Bases that right names repaired left 1.43 or more.
@@ -190,7 +191,7 @@ def _misread(contest: Contest, model: Model, candidate: Candidate) -> bool:
     """
     if candidate.name != "force_bias" or not isinstance(contest.case, BranchCase):
         return False
-    read = np.mean([r.opened for r in contest.recordings], axis=0)
+    read = np.stack([r.opened for r in contest.recordings])
     *offset, share = contest.values(model.fit.batch)[0, list(candidate.columns)].tolist()
     beside = np.array(offset) + (share - 1.0) * read
     return 0.0 < MISREAD * float(np.linalg.norm(read)) < float(np.linalg.norm(beside))
