@@ -100,6 +100,7 @@ EFFECT = register(
             bilinear_stiffness,
             mirror=other_side,
             further=_further,
+            strengths=("relative",),
         ),
         joint=Law("joint", (_REL, _CORNER), bilinear_joint),
     )

@@ -66,6 +66,7 @@ EFFECT = register(
                 EffectParameter("quintic", "1", -1.0, 1.0, optional=True),
             ),
             cubic_ball,
+            strengths=("cubic_radm2",),
             throughout=True,
         ),
         joint=Law("joint", (_CUBIC,), cubic_stiffness),
