@@ -23,7 +23,7 @@ def cubic_stiffness(j: Any, p: Any, r: Any):
 def cubic_ball(j: Any, p: Any, r: Any):
     """tau = -K ((1 - m) g(|phi|^2) phi + m (g(phi_x^2) phi_x, ...)),  g(u) = (1 - q^2) kappa u + 2 q (kappa u)^2.
 
-    m from 0 to 1; with q from -1 to 1 that is every cubic beside every quintic. Its steepest tangent is
+    m from 0 to 1; with q from 0 to 1 that is every cubic beside every quintic that stiffens. Its steepest tangent is
     K (3 (1 - q^2) kappa u + 10 q (kappa u)^2) at u = |phi|^2.
     """
     o = real(0.0, p.a)
@@ -63,7 +63,7 @@ EFFECT = register(
             (
                 _CUBIC_OF_BRANCH,
                 EffectParameter("separate", "1", 0.0, 1.0, tries=2, optional=True),
-                EffectParameter("quintic", "1", -1.0, 1.0, optional=True),
+                EffectParameter("quintic", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True),
             ),
             cubic_ball,
             strengths=("cubic_radm2",),
