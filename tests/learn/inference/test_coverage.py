@@ -7,7 +7,7 @@ from bough.learn.runs.threads import one_thread
 from oracles.oscillator import write_case
 from scipy.signal import lfilter
 
-SPRING, DAMPER, COUNT = 80.0, 1.5, 40
+SPRING, DAMPER, COUNT = 80.0, 1.5, 24
 
 
 def wandering(folder, seed):
@@ -22,7 +22,7 @@ def wandering(folder, seed):
 
 
 def test_replayed_joints_cover_the_truth(tmp_path):
-    """Hold spring and damper in 95 % of 80 intervals, within three deviations of a binomial; unwidened ones do not."""
+    """Hold spring and damper in 95 % of 48 intervals, within three deviations of a binomial; unwidened ones do not."""
     inside, narrow = [], []
     with one_thread():
         for seed in range(COUNT):
