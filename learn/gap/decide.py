@@ -71,8 +71,8 @@ TIED = 12.0
 #: Share of the excess by which a law may explain less than one that ends where it becomes this law.
 TURNED = 0.03
 #: Share of what a branch's force sensor reads of an open gripper by which its offset may differ from that, both of the
-#: root mean square over recordings.
-#: Two right offsets of an independent generator differ by 0.003 and 0.07, one in the place of a tool's weight by 0.52.
+#: root mean square over recordings. Three right offsets of an independent generator differ by 0.003, 0.07 and 0.17, one
+#: in the place of a tool's weight by 0.52.
 MISREAD = 0.35
 #: Reduced chi-squared of a branch's base up to which nothing is missing, however rare the gain of an effect would be
 #: by chance: two simulators of one branch differ by as much. Bases that right names repaired left 1.43 or more.
@@ -192,7 +192,7 @@ def _misread(contest: Contest, model: Model, candidate: Candidate) -> bool:
     if candidate.name != "force_bias" or not isinstance(contest.case, BranchCase):
         return False
     read = np.stack([r.opened for r in contest.recordings])
-    *offset, share = contest.values(model.fit.batch)[0, list(candidate.columns)].tolist()
+    *offset, share = _values(contest, model, candidate).values()
     beside = np.array(offset) + (share - 1.0) * read
     return 0.0 < MISREAD * float(np.linalg.norm(read)) < float(np.linalg.norm(beside))
 
@@ -414,10 +414,15 @@ def strikes(fitted: FittedModels, model: Model) -> bool:
 
 def _breaks(contest: Contest, model: Model, candidate: Candidate) -> tuple[float, float]:
     """Return when a candidate's break begins and ends on the absolute clock [s]."""
-    at = contest.values(model.fit.batch)[0, list(candidate.columns)].tolist()
-    values = dict(zip((s.name for s in candidate.specs), at, strict=True))
+    values = _values(contest, model, candidate)
     begin = values[candidate.law.moment]
     return begin, begin + values["takes_s"]
+
+
+def _values(contest: Contest, model: Model, candidate: Candidate) -> dict[str, float]:
+    """Return the values of a candidate's parameters in a model, by name, in the order of its law."""
+    at = contest.values(model.fit.batch)[0, list(candidate.columns)].tolist()
+    return dict(zip((s.name for s in candidate.specs), at, strict=True))
 
 
 def _pulled(case: BranchCase | JointCase, begin: float, end: float) -> bool:

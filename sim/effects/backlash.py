@@ -1,6 +1,5 @@
 """Play in a joint."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,7 +9,7 @@ import warp as wp
 from ...kernels.effects.held import held
 from ...kernels.lanes.algebra import add, div, dot, mul, norm, sub
 from ...kernels.lanes.real import cos_root, fma, real, sin_ratio, sqrt_
-from .registry import TWIST_SHARE, Effect, EffectParameter, Law, Setting, axis_parameter, register
+from .registry import TWIST_SHARE, Effect, EffectParameter, Law, Setting, axes_across, axis_parameter, register
 
 
 @wp.func
@@ -62,7 +61,7 @@ def backlash_holds(j: Any, p: Any, r: Any):
 
 def _further(s: Setting) -> Sequence[tuple[float, ...]]:
     """Plays about one axis alone."""
-    axes = [k * math.pi / 4.0 for k in range(4)]
+    axes = axes_across(circle=False, count=4)
     return [(share * s.angle, 1.0, 0.02, 0.0, 1.0, axis, 1.0, 0.0) for share in (0.1, 0.4) for axis in axes]
 
 

@@ -8,7 +8,7 @@ import warp as wp
 
 from ...kernels.lanes.algebra import add, div, dot, mul, sub
 from ...kernels.lanes.real import cos_root, fma, real, sin_ratio, sqrt_, where_neg
-from .registry import Effect, EffectParameter, Law, Setting, axis_parameter, register
+from .registry import Effect, EffectParameter, Law, Setting, axes_across, axis_parameter, register
 
 #: Share of its stiffness that a spring may lose.
 LARGEST = wp.constant(wp.float64(0.9))
@@ -80,7 +80,8 @@ _SPLIT = EffectParameter("split", "1", 0.0, 1.0, tries=lambda s: [0.0], optional
 
 def _further(s: Setting) -> Sequence[tuple[float, ...]]:
     """Springs that stiffen from an angle on."""
-    return [(2.0, k * math.pi / 4.0, 0.005, -share * s.angle, 0.0) for share in (0.1, 0.4) for k in range(8)]
+    axes = axes_across(circle=True, count=8)
+    return [(2.0, axis, 0.005, -share * s.angle, 0.0) for share in (0.1, 0.4) for axis in axes]
 
 
 EFFECT = register(

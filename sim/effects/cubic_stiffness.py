@@ -66,7 +66,6 @@ EFFECT = register(
                 EffectParameter("quintic", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True),
             ),
             cubic_ball,
-            strengths=("cubic_radm2",),
             throughout=True,
         ),
         joint=Law("joint", (_CUBIC,), cubic_stiffness),

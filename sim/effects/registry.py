@@ -130,6 +130,12 @@ def kept_share(neutral: float) -> EffectParameter:
     return EffectParameter("kept", "1", 0.0, 1.0, neutral=neutral, tries=lambda s: [neutral], optional=True)
 
 
+def axes_across(*, circle: bool, count: int) -> list[float]:
+    """Return angles of ``count`` axes across a segment [rad], evenly around the whole circle or around half."""
+    end = 2.0 * math.pi if circle else math.pi
+    return [k * end / count for k in range(count)]
+
+
 def axis_parameter(*, circle: bool, tries: int) -> EffectParameter:
     """Return the angle of an axis across a segment, which a search may turn past either end of what it looks at.
 
@@ -138,7 +144,7 @@ def axis_parameter(*, circle: bool, tries: int) -> EffectParameter:
         tries: Axes that a search looks at.
     """
     end = 2.0 * math.pi if circle else math.pi
-    axes = [k * end / tries for k in range(tries)]
+    axes = axes_across(circle=circle, count=tries)
     return EffectParameter(
         "axis_rad", "rad", -math.pi, end + math.pi, typical=0.5 * math.pi, tries=lambda s: axes, reach=1.0
     )

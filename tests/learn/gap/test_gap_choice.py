@@ -347,10 +347,8 @@ def test_an_offset_that_an_open_gripper_does_not_read_is_a_weight(offset, read, 
     plain = EffectParameter("mass_kg", "kg", 0.0, 1.0)
     fitted = turning({"force_bias": plain, "gravity_comp_error": plain}, (None, None), (1030.0, left), 0.5)
     contest = fitted.contest
-    contest.case, contest.recordings = (
-        BranchCase.__new__(BranchCase),
-        [SimpleNamespace(opened=np.array([0.0, 0.0, read]))],
-    )
+    contest.case = BranchCase.__new__(BranchCase)
+    contest.recordings = [SimpleNamespace(opened=np.array([0.0, 0.0, read]))]
     contest.candidates[0] = Candidate(Acting("force_bias"), (0, 1, 2, 3), effect_of("force_bias").branch)
     contest.values = lambda batch: torch.tensor([offset])
     biased, other = fitted.models
