@@ -350,7 +350,7 @@ def _unknown(d: Diagnosis) -> str:
         return f"{text}, but {off} may as well be off: the interval reaches where it does nothing."
     if d.stretched and d.explained > HALF:
         most = " and ".join(d.stretched)
-        return f"{text}, but only with {most} as strong as it is allowed to be: another law may be in its place."
+        return f"{text}, but only with {most} as far as it is allowed to go: another law may be in its place."
     return f"{text}, which is not enough to claim it."
 
 

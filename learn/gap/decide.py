@@ -14,6 +14,7 @@ from ..systems.acting import Acting
 from ..systems.system import Parameter
 from .diagnosis import Settings, VerdictName
 from .evidence import ALARM, lacks_fit
+from .geometry import by_hand
 from .models.candidates import Candidate, passes_neutral
 from .models.certain import doubtful
 from .models.contest import Contest
@@ -96,7 +97,7 @@ class Decision:
         nearest: For ``unknown`` the closest name, not claimed; None if the data cannot support a verdict.
         unstable: What would change the verdict of measured joints, see `steady`.
         may_be_off: For ``unknown`` the labels of the preferred model's effects that may as well be off.
-        stretched: For ``unknown`` the labels of those that are as strong as their boxes allow, beside a misfit.
+        stretched: For ``unknown`` the labels of those that go as far as their boxes allow, see `stretched`.
         ended: Labels of the model that was preferred before, a law of which ends where it becomes another.
         further: The model with one effect more that leaves less, see `models.unclaimed`; None where there is none.
     """
@@ -156,21 +157,26 @@ def within_noise(case: BranchCase | JointCase, base_reduced_chi2: float) -> bool
 def _turned_into(fitted: FittedModels, model: Model) -> Model:
     """Return the model, or where a law of it ends at what makes it another law, one with that law at its joint.
 
-    The other law must explain as much, to the share by which a law may differ from nature's in its form (`TURNED`), and
-    not end where it becomes the first.
+    The other law must not end where it becomes the first.
+    """
+    others = (other for c in model.members for other, back in _turned(fitted, model, c) if not back)
+    return next(others, model)
+
+
+def _turned(fitted: FittedModels, model: Model, candidate: int) -> Iterator[tuple[Model, bool]]:
+    """Yield models with a law that one of a model turns into, at its joint, and whether that turns back into the first.
+
+    The other law must explain as much, to the share by which a law may differ from nature's in its form (`TURNED`).
     """
     candidates = fitted.contest.candidates
-    for c in model.members:
-        wanted = [(name, candidates[c].acting.joint) for name in _becomes(fitted, model, c)]
-        for other in (k for k, x in enumerate(candidates) if (x.name, x.acting.joint) in wanted):
-            members = {*model.members, other} - {c}
-            found = [m for m in fitted.models if set(m.members) == members and not m.rests]
-            best = min(found, key=fitted.criterion, default=None)
-            if best is None or fitted.explained(best) < fitted.explained(model) - TURNED:
-                continue
-            if candidates[c].name not in _becomes(fitted, best, other):
-                return best
-    return model
+    own = candidates[candidate]
+    wanted = [(name, own.acting.joint) for name in _becomes(fitted, model, candidate)]
+    for other in (k for k, x in enumerate(candidates) if (x.name, x.acting.joint) in wanted):
+        members = {*model.members, other} - {candidate}
+        found = [m for m in fitted.models if set(m.members) == members and not m.rests]
+        best = min(found, key=fitted.criterion, default=None)
+        if best is not None and fitted.explained(best) >= fitted.explained(model) - TURNED:
+            yield best, own.name in _becomes(fitted, best, other)
 
 
 def _becomes(fitted: FittedModels, model: Model, candidate: int) -> list[str]:
@@ -179,7 +185,7 @@ def _becomes(fitted: FittedModels, model: Model, candidate: int) -> list[str]:
     for k, s in zip(own.columns, own.specs, strict=True):
         if s.becomes and _way_up(fitted, model, k) >= s.becomes_from - NEAR:
             out.append(s.becomes)
-        if s.below and _way_up(fitted, model, k) <= NEAR:
+        if s.below and _way_up(fitted, model, k) <= s.below_to + NEAR:
             out.append(s.below)
     return [*out, "gravity_comp_error"] if _misread(fitted.contest, model, own) else out
 
@@ -341,11 +347,13 @@ def known(fitted: FittedModels, model: Model) -> bool:
     """Return whether a model explains enough for its effects to be named.
 
     Two effects of a branch, and even more one law at two joints, imitate many unknown ones, so they must explain nearly
-    all. What breaks does so under a load. What strikes a stop must leave nothing but noise.
+    all. What breaks does so under a load. What strikes a stop must leave nothing but noise, with the file's geometry.
     """
     case = fitted.contest.case
-    loud = isinstance(case, BranchCase) and fitted.reduced_chi2(model) > QUIET
-    if loud and (breaks_untouched(fitted, model) or strikes(fitted, model)):
+    loud = fitted.reduced_chi2(model) > QUIET
+    if isinstance(case, BranchCase) and loud and breaks_untouched(fitted, model):
+        return False
+    if isinstance(case, BranchCase) and strikes(fitted, model) and (loud or by_hand(fitted.contest.nuisance)):
         return False
     if isinstance(case, BranchCase) and len(set(fitted.names(model))) < len(model.members):
         return fitted.explained(model) >= TWICE and not _staircase(fitted, model)
@@ -404,7 +412,8 @@ def breaks_untouched(fitted: FittedModels, model: Model) -> bool:
 def strikes(fitted: FittedModels, model: Model) -> bool:
     """Return whether a spring of a branch stiffens in a model from an angle on, as a branch does that strikes a stop.
 
-    A stop or a cord outside acts at every joint below it, so that a spring at one joint leaves a part of it.
+    A stop or a cord outside acts at every joint below it, so that a spring at one joint leaves a part of it; of a stop
+    at the first segment only where on it the stop is, which a length or a mounting that is a little off may explain.
     """
     candidates = [fitted.contest.candidates[c] for c in model.members]
     offs = [k for c in candidates if c.name == "bilinear_stiffness"
@@ -440,12 +449,15 @@ def stretched(fitted: FittedModels, model: Model) -> tuple[int, ...]:
     """Return the effects of a model that are as strong as their boxes allow, where it leaves more than noise.
 
     A law in another's place grows until it is stopped. The strength is an effect's first parameter; an end of its box
-    at which it is off is no strength.
+    at which it is off is no strength. Nor is either of two laws there, however much they explain, of which each ends
+    where it becomes the other: friction that never slides, and a slider's spring as stiff as can be, are a joint that
+    is held.
     """
-    if fitted.reduced_chi2(model) <= QUIET:
-        return ()
-    return tuple(c for c, p, spec, share in _strengths(fitted, model)
-                 if share >= 1.0 - NEAR or (passes_neutral(spec, p) and share <= NEAR))  # fmt: skip
+    held = {c for c in model.members if any(back for _, back in _turned(fitted, model, c))}
+    if fitted.reduced_chi2(model) > QUIET:
+        held |= {c for c, p, spec, share in _strengths(fitted, model)
+                 if share >= 1.0 - NEAR or (passes_neutral(spec, p) and share <= NEAR)}  # fmt: skip
+    return tuple(c for c in model.members if c in held)
 
 
 def weakest(fitted: FittedModels, model: Model) -> tuple[int, ...]:

@@ -110,10 +110,15 @@ def explained_by(contest: Contest, model: Fits, motion: float) -> Geometry:
     """
     rigid = fit(contest.rigid(), model.batch, WITHOUT)
     gained = max(float(rigid.chi2[0] - model.chi2[0]), 0.0) / contest.num_samples
-    measured = [k for k, name in enumerate(contest.nuisance.names) if not name.startswith(GROWN)]
+    measured = by_hand(contest.nuisance)
     name, far = _furthest(contest, model, measured)
     chance = min(1.0, len(measured) * 2.0 * float(norm.sf(far)))
     return Geometry(float(np.sqrt(gained)) / motion, f"{name}, {far:.1f} deviations off", chance)
+
+
+def by_hand(nuisance: Nuisances) -> list[int]:
+    """Return the columns of what somebody measured; none where the file's geometry and mountings are not in doubt."""
+    return [k for k, name in enumerate(nuisance.names) if not name.startswith(GROWN)]
 
 
 def alone(contest: Contest, base: Fits) -> Fits:

@@ -18,6 +18,7 @@ from .models.fitted import FittedModels, Model, overdispersion, penalty
 from .models.idle import spare
 from .models.levels import (
     LEADERS,
+    at_other_moments,
     begun_again,
     better_of,
     first_level,
@@ -101,6 +102,7 @@ def _searched(base: Base, evidence: Evidence, run: Run) -> Searched:
         fitted.models += mirrored(fitted.contest, fitted.of_size(1)[:LEADERS])
         if fitted.needs_more(fitted.best):
             fitted.models += led_whole(fitted.contest)
+            fitted.models += at_other_moments(fitted.contest, fitted.of_size(1)[:LEADERS])
         _begin_leaders_again(fitted, 1)
         known = base.noise
         fitted = _recoloured(base, fitted)
@@ -208,6 +210,8 @@ def _add_effects(fitted: FittedModels, run: Run) -> None:
         _begin_leaders_again(fitted, count)
         fitted.models += taken_for(fitted, count)
         _begin_leaders_again(fitted, count)
+        if fitted.needs_more(fitted.best):
+            fitted.models += at_other_moments(fitted.contest, fitted.of_size(count)[:1])
         fitted.models += reduced(fitted.contest, fitted.of_size(count)[:1])
     if fitted.needs_more(fitted.best):
         fitted.models += widespread(fitted, run.settings.max_effects)

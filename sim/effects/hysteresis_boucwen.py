@@ -71,6 +71,8 @@ _PARAMETERS = (
 )
 #: Of a spring far stiffer than a branch's joint only the slider is seen, which is friction.
 _SHARE = replace(_PARAMETERS[0], high=10.0, becomes="dry_friction")
+#: A slider that yields by a twenty-fifth of the angles seen rubs as friction does, see `dry_friction`.
+_YIELD = replace(_PARAMETERS[1], below="dry_friction", below_to=0.18)
 _LOADING, _STIFFENING = (
     EffectParameter("loading", "1", low, 1.0, neutral=1.0, tries=1, optional=True) for low in (0.0, -0.25)
 )
@@ -90,7 +92,7 @@ EFFECT = register(
         probe="the same triangle of force at two speeds; a small loop inside a large one",
         branch=Law(
             "joint",
-            (_SHARE, *_PARAMETERS[1:], _LOADING, _SEPARATE, TWIST_SHARE, kept_share(1.0)),
+            (_SHARE, _YIELD, _PARAMETERS[2], _LOADING, _SEPARATE, TWIST_SHARE, kept_share(1.0)),
             hysteresis_boucwen,
             memory=1,
             persistent=True,

@@ -68,3 +68,20 @@ JOINT_COLUMNS = ("time_s", "remark", "torque_mNm", "angle_deg")
 def write_joint(folder: Path, meta: dict | None = None, first: list[list[str]] | None = None) -> Path:
     tables = {"a.csv": first or table(JOINT_COLUMNS), "b.csv": table(JOINT_COLUMNS, 1)}
     return write(folder, meta or joint_meta(), tables)
+
+
+def make_planar(source: Path, folder: Path) -> None:
+    """Copy a case with everything turned into the x-z plane and its y columns zeroed."""
+    folder.mkdir()
+    meta = yaml.safe_load((source / "meta.yaml").read_text())
+    meta["planar"] = True
+    for segment in meta["segments"]:
+        segment["azimuth_deg"] = 0.0
+    for trajectory in meta["trajectories"]:
+        rows = np.loadtxt(source / trajectory["file"], delimiter=",", skiprows=1)
+        rows[:, [2, 5, 8]] = 0.0
+        header = "t_s,fx_N,fy_N,fz_N,x_m,y_m,z_m,vx_mps,vy_mps,vz_mps"
+        text = "\n".join(",".join(f"{v:.7g}" for v in row) for row in rows)
+        (folder / trajectory["file"]).write_text(f"{header}\n{text}\n")
+        trajectory["direction"] = None
+    (folder / "meta.yaml").write_text(yaml.safe_dump(meta))

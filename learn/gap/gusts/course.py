@@ -44,7 +44,8 @@ class Gusts:
         pressure: Pressure at the knots of each recording [Pa], shape [K, 2] each.
         free: Free coordinates of the base's parameters beside it, shape [n].
         deviance: Minus twice the log likelihood, up to the constant of white noise: a chi-squared and a determinant.
-        process: Logarithms of the sizes along two axes, which way these are turned, and logarithm of the time, [4].
+        process: Logarithms of the sizes along two axes, which way these are turned, and logarithm of the time, [4]; of
+            a planar case, which shows one axis alone, of size and time, [2].
     """
 
     knots: tuple[Knots, ...]
@@ -56,7 +57,7 @@ class Gusts:
     @property
     def time(self) -> float:
         """Time over which the pressure changes [s]."""
-        return math.exp(self.process[3])
+        return math.exp(self.process[-1])
 
 
 @dataclass(frozen=True)
@@ -84,13 +85,15 @@ class Process:
         self._base, self._own = model.free[0, : contest.num_base], contest.num_base
         case, nuisance = contest.case, contest.nuisance
         assert isinstance(case, BranchCase)
+        self._axes = 1 if case.planar else 2
         knots = [knots_of(r, case) for r in contest.recordings]
-        of_knot = [answers(contest, model, j, k) for j, k in enumerate(knots)]
-        mean = torch.stack([torch.stack([half.sum(0) for half in own.chunk(2)]) for own in of_knot], 1)
+        of_knot = [answers(contest, model, j, k)[: self._axes * k.count] for j, k in enumerate(knots)]
+        mean = torch.stack([torch.stack([half.sum(0) for half in own.chunk(self._axes)]) for own in of_knot], 1)
         self._columns = torch.cat([derivative[0].flatten(2), nuisance.columns, mean])
         self._residual = residual[0].flatten(1)
         for j, own in enumerate(known):
-            self._residual[j] += torch.as_tensor(own.T.ravel()).to(of_knot[j]) @ of_knot[j]
+            seen = own.T[: self._axes].ravel()
+            self._residual[j] += torch.as_tensor(seen).to(of_knot[j]) @ of_knot[j]
         held = (self._columns**2).sum((1, 2)).clamp(min=1.0) * LOOSE
         held[self._own : self._own + len(nuisance)] = 1.0
         self._held, self._centre = held, torch.zeros_like(held)
@@ -105,9 +108,9 @@ class Process:
     def fit(self) -> Gusts:
         """Return the likeliest process, what blew, and the base beside it."""
         size = math.log(self._rough_size())
-        begin = np.array([size, size, 0.0, math.log(TIME)])
+        begin = np.array([size, size, 0.0, math.log(TIME)] if self._axes == 2 else [size, math.log(TIME)])
         options = {"maxfev": EVALUATIONS, "xatol": 0.03, "fatol": 0.5,
-                   "initial_simplex": np.vstack([begin, begin + AWAY * np.eye(4)])}  # fmt: skip
+                   "initial_simplex": np.vstack([begin, begin + AWAY * np.eye(len(begin))])}  # fmt: skip
         return self.given(minimize(self._deviance, begin, method="Nelder-Mead", options=options).x)
 
     def _rough_size(self) -> float:
@@ -122,12 +125,13 @@ class Process:
     def given(self, at: Array) -> Gusts:
         """Return what blew, and the base beside it, of a process that is known."""
         chi2, volume, found, halves = self._solved(at)
-        mean = found[-2:]
+        mean = found[-self._axes :]
         pressure = []
         for part, (half, root) in zip(self._parts, halves, strict=True):
             left = half.T @ (part.with_residual - part.with_columns @ found)
             own = half @ torch.cholesky_solve(left[:, None], root)[:, 0]
-            pressure.append((own.view(2, -1) + mean[:, None]).T.cpu().numpy())
+            blew = (own.view(self._axes, -1) + mean[:, None]).T.cpu().numpy()
+            pressure.append(np.pad(blew, ((0, 0), (0, 2 - self._axes))))
         knots = tuple(p.knots for p in self._parts)
         return Gusts(knots, tuple(pressure), self._base + found[: self._own], chi2 + volume, at)
 
@@ -154,14 +158,21 @@ class Process:
 
 
 def _half(at: Array, knots: Knots) -> torch.Tensor:
-    """Return a root H [2 K, q] of the process's covariance C = H H^T at the knots, x before y."""
-    size, other, turn, time = math.exp(at[0]), math.exp(at[1]), math.tanh(at[2]), math.exp(at[3])
+    """Return a root H [A K, q] of the process's covariance C = H H^T at the knots along A axes, x before y."""
+    time = math.exp(at[-1])
     away = np.sqrt(3.0) * np.abs(knots.time[:, None] - knots.time) / time
     value, vector = np.linalg.eigh((1.0 + away) * np.exp(-away))
     keep = value > LEAST * value[-1]
     root = vector[:, keep] * np.sqrt(value[keep])
-    sizes = np.array([[size, 0.0], [turn * other, math.sqrt(1.0 - turn**2) * other]])
-    return torch.as_tensor(np.kron(sizes, root))
+    return torch.as_tensor(np.kron(_sizes(at), root))
+
+
+def _sizes(at: Array) -> Array:
+    """Return a root of the covariance S of the axes, [A, A]."""
+    if len(at) == 2:
+        return np.array([[math.exp(at[0])]])
+    size, other, turn = math.exp(at[0]), math.exp(at[1]), math.tanh(at[2])
+    return np.array([[size, 0.0], [turn * other, math.sqrt(1.0 - turn**2) * other]])
 
 
 def rms_of(courses: Sequence[Array]) -> float:

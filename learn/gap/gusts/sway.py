@@ -42,11 +42,13 @@ def sways(contest: Contest) -> bool:
 def differs(contest: Contest, residual: torch.Tensor) -> bool:
     """Return whether whitened residuals [R, T, C] differ between repeats of one push; True where nothing is repeated.
 
-    Half of the mean squared difference of two, and the mean square of each, are both more by one for noise.
+    Half of the mean squared difference of two, and the mean square of each, are both more by one for noise, where there
+    is noise: channels out of a planar case's plane have none, nor has what is past a recording's end.
     """
     groups = [g for g in profiles(contest) if len(g) > 1]
     apart = [0.5 * (residual[i] - residual[j]) ** 2 for g in groups for i in g for j in g if i < j]
     if not apart:
         return True
     missed = torch.stack([residual[j] ** 2 for g in groups for j in g]).mean()
-    return float(torch.stack(apart).mean() - 1.0) > DIFFERS * float(missed - 1.0)
+    noise = contest.num_samples / residual.numel()
+    return float(torch.stack(apart).mean() - noise) > DIFFERS * float(missed - noise)

@@ -13,6 +13,7 @@ import torch
 
 from ....sim.effects import effect_of
 from ...cases.case import BranchCase
+from .candidates import Candidate
 from .contest import Batch, Contest, activated
 from .fitted import FittedModels, Model, penalty
 from .frequencies import frequency_probes
@@ -31,6 +32,8 @@ SIDES = (3, 2)
 STARTS, WIDELY = 4, 6
 #: Leading models to which a further effect is added.
 LEADERS = 3
+#: At how many moments of every recording a law that happens once is tried, and from how many of them it begins.
+MOMENTS, EARLIEST = 12, 2
 #: How often leading models are begun again where they ended, and the share of the cost that such a fit must gain for
 #: another.
 BEGINNINGS, GAINED = 4, 0.01
@@ -216,6 +219,37 @@ def _settled(contest: Contest, begun: Sequence[tuple[tuple[int, ...], Batch]], i
         return []
     fits = fit(contest, Batch.joined([batch for _, batch in begun]), iterations)
     return [Model(members, fits.one(s), True) for s, (members, _) in enumerate(begun)]
+
+
+def at_other_moments(contest: Contest, models: Sequence[Model]) -> list[Model]:
+    """Return models with a law that happens once (`Law.moment`) begun at the moments of all at which it leaves least.
+
+    No slope leads from one recording to the next, and a break that bending makes may stand for one by the clock.
+    """
+    begun = []
+    for model in models:
+        for c in (c for c in model.members if contest.candidates[c].law.moment):
+            tried = _at_moments(contest, model.fit.batch, contest.candidates[c])
+            best = evaluated(contest, tried).cost.argsort()[:EARLIEST].tolist()
+            begun += [(model.members, tried[slice(k, k + 1)]) for k in best]
+    return _settled(contest, begun, ITERATIONS[-1])
+
+
+def _at_moments(contest: Contest, batch: Batch, own: Candidate) -> Batch:
+    """Return a model, a batch of one, with its law at moments in every recording, and with no more than it needs.
+
+    Its optional parameters are as fitted first and then off: half of the models each.
+    """
+    assert isinstance(contest.case, BranchCase)
+    shares = torch.arange(MOMENTS) / MOMENTS
+    moments = torch.cat([t.t_start + shares * float(t.t[-1]) for t in contest.case.trajectories])
+    out = Batch.joined([batch] * (2 * len(moments)))
+    for spec, column in zip(own.specs, own.columns, strict=True):
+        if spec.name == own.law.moment:
+            out.free[:, column] = moments.repeat(2).to(out.free)
+        elif spec.optional:
+            out.free[len(moments) :, column] = contest.parameters[column].free(spec.neutral)
+    return out
 
 
 def _mirrored(contest: Contest, batch: Batch, candidate: int) -> Batch | None:

@@ -10,7 +10,7 @@ import torch
 import yaml
 from bough.learn.cases.case import BranchCase, load_case
 from bough.learn.gap.consistent import sentence
-from bough.learn.gap.decide import Decision, _turned_into
+from bough.learn.gap.decide import Decision, _turned_into, stretched
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.candidates import Candidate
@@ -321,6 +321,30 @@ def test_friction_that_bends_as_far_as_it_may_is_hysteresis(bend, left, place, t
     fitted = turning({"dry_friction": spec, "hysteresis_boucwen": spec}, (0, place), (1030.0, left), bend)
     friction, other = fitted.models
     assert _turned_into(fitted, friction) is (other if turned else friction)
+
+
+@pytest.mark.parametrize(("high", "held"), [((1.0, 1.0), (0,)), ((2.0, 1.0), ()), ((1.0, 2.0), ())])
+def test_two_laws_that_each_end_where_they_become_the_other_are_none(high, held):
+    """Claim neither friction that never slides nor a slider's spring as stiff as can be, though noise alone is left.
+
+    A wind that differs from recording to recording was such a friction (blind case of an independent generator).
+    """
+    specs = {"dry_friction": EffectParameter("bend_rad", "rad", 0.0, 1.0, becomes="hysteresis_boucwen"),
+             "hysteresis_boucwen": EffectParameter("share", "1", 0.0, 1.0, becomes="dry_friction")}  # fmt: skip
+    fitted = turning(specs, (0, 0), (1030.0, 1040.0), 1.0)
+    fitted.contest.high = torch.tensor(high, dtype=torch.float64)
+    assert stretched(fitted, fitted.models[0]) == held
+
+
+def test_a_slider_that_yields_at_once_is_friction():
+    """Take friction that explains as much where the slider yields by a twenty-fifth of the angles seen or before."""
+    yields = effect_of("hysteresis_boucwen").branch.parameters[1]
+    plain = EffectParameter("torque_Nm", "N m", 0.0, 1.0)
+    for share, turned in ((0.17, True), (0.3, False)):
+        fitted = turning({"hysteresis_boucwen": yields, "dry_friction": plain}, (0, 0), (1030.0, 1050.0), share)
+        slider, friction = fitted.models
+        assert _turned_into(fitted, slider) is (friction if turned else slider)
+    assert abs(0.02 * (1.0 / 0.02) ** yields.below_to - 0.04) < 0.002  # of the box from 0.02 to 1 on a logarithm
 
 
 @pytest.mark.parametrize(("off", "left", "turned"), [(0.5, 1050.0, True), (0.1, 1050.0, False), (0.5, 1200.0, False)])

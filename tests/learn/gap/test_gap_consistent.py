@@ -250,7 +250,7 @@ NAMED = PLAIN | {"verdict": "effects", "p": 1e-9, "explained": 0.95, "chi2": 5.0
         (NAMED | {"verdict": "unknown", "may_be_off": True}, "unknown",
          "explains 95 % of the excess misfit, but dry_friction@0 may as well be off"),
         (NAMED | {"verdict": "unknown", "stretched": True}, "unknown",
-         "explains 95 % of the excess misfit, but only with dry_friction@0 as strong as it is allowed to be"),
+         "explains 95 % of the excess misfit, but only with dry_friction@0 as far as it is allowed to go"),
     ],
 )  # fmt: skip
 def test_what_is_said_of_each_kind(cases, numbers, verdict, words) -> None:

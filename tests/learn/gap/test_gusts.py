@@ -26,6 +26,7 @@ from bough.learn.systems.branch import Unknowns
 from bough.learn.systems.model_file import model_of, read_model
 from bough.sim.base.errors import InputError
 from bough.sim.effects import effect_of
+from oracles.case_files import make_planar
 
 #: Pressure of gusts [Pa] that sways this branch by a third of its motion; deviation of the sensors, of each channel.
 PRESSURE, NOISE = 25.0, 0.02
@@ -90,6 +91,24 @@ def test_gusts_are_seen_and_read_off(branch):
     own, fits = read_off(contest, base, found)
     assert float(fits.chi2[1]) < 1.1 * contest.num_samples < 0.2 * float(fits.chi2[0])
     assert blows_on(own, fits)
+
+
+def test_gusts_are_read_off_in_a_plane(tmp_path):
+    """Read gusts off a branch whose case shows one plane alone: what blows across it is not seen, and is nothing.
+
+    Of two sizes and a turn the one across the plane was any number, and the branch was blown out of its plane by it.
+    """
+    answer = hide(tmp_path / "solid", seed=22, segments=2, noise=0.03, samples=80)
+    make_planar(tmp_path / "solid", tmp_path / "flat")
+    case, springs = load_case(tmp_path / "flat"), np.concatenate([answer["truth"]["K"], answer["truth"]["D"]])
+    blown = [own * [1.0, 0.0] for own in courses(case, 1)]
+    contest, base = measured(case, springs, blown)
+    assert differs(contest, contest.residual(base.batch)[0])
+    found = gusts_in(contest, base)
+    assert found is not None
+    own, fits = found
+    assert float(fits.chi2[1]) < 1.1 * contest.num_samples < 0.5 * float(fits.chi2[0])
+    assert all(np.abs(r.course[:, 1]).max() == 0.0 for r in own.recordings)
 
 
 def test_a_law_of_the_branch_is_no_gust(branch):

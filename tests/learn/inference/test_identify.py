@@ -16,6 +16,7 @@ from bough.learn.inference.target import Target
 from bough.learn.replay.recording import recordings
 from bough.sim.base.errors import InputError
 from oracles.branch_case import make_branch_case
+from oracles.case_files import make_planar
 from oracles.oscillator import write_case
 
 QUICK = Settings(particles=16, iterations=20)
@@ -157,20 +158,3 @@ def test_planar_case_is_judged_in_its_plane(branch, tmp_path):
     other = target.measured[None].clone()
     other[..., [1, 4]] += 1.0
     assert target.residual(other).abs().max() == 0.0
-
-
-def make_planar(source, folder):
-    """Copy a case with everything turned into the x-z plane and its y columns zeroed."""
-    folder.mkdir()
-    meta = yaml.safe_load((source / "meta.yaml").read_text())
-    meta["planar"] = True
-    for segment in meta["segments"]:
-        segment["azimuth_deg"] = 0.0
-    for trajectory in meta["trajectories"]:
-        rows = np.loadtxt(source / trajectory["file"], delimiter=",", skiprows=1)
-        rows[:, [2, 5, 8]] = 0.0
-        header = "t_s,fx_N,fy_N,fz_N,x_m,y_m,z_m,vx_mps,vy_mps,vz_mps"
-        text = "\n".join(",".join(f"{v:.7g}" for v in row) for row in rows)
-        (folder / trajectory["file"]).write_text(f"{header}\n{text}\n")
-        trajectory["direction"] = None
-    (folder / "meta.yaml").write_text(yaml.safe_dump(meta))
