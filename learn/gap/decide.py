@@ -185,7 +185,7 @@ def _becomes(fitted: FittedModels, model: Model, candidate: int) -> list[str]:
     for k, s in zip(own.columns, own.specs, strict=True):
         if s.becomes and _way_up(fitted, model, k) >= s.becomes_from - NEAR:
             out.append(s.becomes)
-        if s.below and _way_up(fitted, model, k) <= s.below_to + NEAR:
+        if s.below and _way_up(fitted, model, k) <= NEAR:
             out.append(s.below)
     return [*out, "gravity_comp_error"] if _misread(fitted.contest, model, own) else out
 

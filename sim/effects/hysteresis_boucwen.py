@@ -71,8 +71,8 @@ _PARAMETERS = (
 )
 #: Of a spring far stiffer than a branch's joint only the slider is seen, which is friction.
 _SHARE = replace(_PARAMETERS[0], high=10.0, becomes="dry_friction")
-#: A slider that yields by a twenty-fifth of the angles seen rubs as friction does, see `dry_friction`.
-_YIELD = replace(_PARAMETERS[1], below="dry_friction", below_to=0.18)
+#: A slider that yields before a fiftieth of the angles seen rubs as friction does, see `dry_friction`.
+_YIELD = replace(_PARAMETERS[1], below="dry_friction")
 _LOADING, _STIFFENING = (
     EffectParameter("loading", "1", low, 1.0, neutral=1.0, tries=1, optional=True) for low in (0.0, -0.25)
 )

@@ -96,8 +96,8 @@ class EffectParameter:
             smaller; empty for none.
         read_off: Whether the value is the size of what was read off the recordings themselves, so that no search moves
             it: it is neutral where nothing was.
-        becomes_from, below_to: How far up the box, as a share of it on its own scale, the law is as good as the one
-            that it becomes, and below what share as the other, where that one explains as much.
+        becomes_from: How far up the box, as a share of it on its own scale, the law is as good as the one that it
+            becomes, where that one explains as much.
     """
 
     name: str
@@ -115,7 +115,6 @@ class EffectParameter:
     becomes: str = ""
     below: str = ""
     becomes_from: float = 1.0
-    below_to: float = 0.0
     read_off: bool = False
 
 
