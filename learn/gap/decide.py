@@ -97,7 +97,7 @@ class Decision:
         nearest: For ``unknown`` the closest name, not claimed; None if the data cannot support a verdict.
         unstable: What would change the verdict of measured joints, see `steady`.
         may_be_off: For ``unknown`` the labels of the preferred model's effects that may as well be off.
-        stretched: For ``unknown`` the labels of those that go as far as their boxes allow, see `stretched`.
+        stretched: For ``unknown`` the labels of those that go as far as their boxes allow, see `at_an_end`.
         ended: Labels of the model that was preferred before, a law of which ends where it becomes another.
         further: The model with one effect more that leaves less, see `models.unclaimed`; None where there is none.
     """
@@ -131,7 +131,7 @@ def decide(base: Base, searched: Searched, settings: Settings) -> Decision:
     if verdict == "none":
         return Decision(verdict, models.base, model, models.base)
     nearest = None if base.unusable or not model.members else candidates[leading(models, model)].name
-    may_be_off, most = (tuple(candidates[c].acting.label for c in own) for own in (off, stretched(models, model)))
+    may_be_off, most = (tuple(candidates[c].acting.label for c in own) for own in (off, at_an_end(models, model)))
     return Decision(verdict, models.base, model, model, nearest=nearest, may_be_off=may_be_off, stretched=most)
 
 
@@ -145,7 +145,7 @@ def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> 
     if small and not lacks_fit(models, tolerance * base.motion):
         return "none", ()
     off = doubtful(models, model)
-    claimed = not off and not stretched(models, model) and known(models, model)
+    claimed = not off and not at_an_end(models, model) and known(models, model)
     return "effects" if claimed else "unknown", off
 
 
@@ -449,15 +449,26 @@ def stretched(fitted: FittedModels, model: Model) -> tuple[int, ...]:
     """Return the effects of a model that are as strong as their boxes allow, where it leaves more than noise.
 
     A law in another's place grows until it is stopped. The strength is an effect's first parameter; an end of its box
-    at which it is off is no strength. Nor is either of two laws there, however much they explain, of which each ends
-    where it becomes the other: friction that never slides, and a slider's spring as stiff as can be, are a joint that
-    is held.
+    at which it is off is no strength.
     """
-    held = {c for c in model.members if any(back for _, back in _turned(fitted, model, c))}
-    if fitted.reduced_chi2(model) > QUIET:
-        held |= {c for c, p, spec, share in _strengths(fitted, model)
-                 if share >= 1.0 - NEAR or (passes_neutral(spec, p) and share <= NEAR)}  # fmt: skip
-    return tuple(c for c in model.members if c in held)
+    if fitted.reduced_chi2(model) <= QUIET:
+        return ()
+    return tuple(c for c, p, spec, share in _strengths(fitted, model)
+                 if share >= 1.0 - NEAR or (passes_neutral(spec, p) and share <= NEAR))  # fmt: skip
+
+
+def held_fast(fitted: FittedModels, model: Model) -> tuple[int, ...]:
+    """Return the effects of a model that end where they become another law, which ends where it becomes the first.
+
+    However much they explain: friction that never slides, and a slider's spring as stiff as can be, are a joint that is
+    held where a recording finds it.
+    """
+    return tuple(c for c in model.members if any(back for _, back in _turned(fitted, model, c)))
+
+
+def at_an_end(fitted: FittedModels, model: Model) -> tuple[int, ...]:
+    """Return the effects of a model that go as far as their boxes allow: `stretched` or `held_fast`."""
+    return tuple(sorted({*stretched(fitted, model), *held_fast(fitted, model)}))
 
 
 def weakest(fitted: FittedModels, model: Model) -> tuple[int, ...]:

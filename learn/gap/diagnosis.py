@@ -209,7 +209,7 @@ class Diagnosis:
             explain more than the tolerance; the gap is without these.
         unstable: What changes the verdict, such as ``a filter of 25 Hz names backlash``; empty if nothing does.
         may_be_off: For ``unknown`` the labels of tried effects whose interval reaches where they do nothing.
-        stretched: For ``unknown`` the labels of those that go as far as their boxes allow, see `decide.stretched`.
+        stretched: For ``unknown`` the labels of those that go as far as their boxes allow, see `decide.at_an_end`.
     """
 
     case: BranchCase | JointCase

@@ -10,7 +10,7 @@ import torch
 import yaml
 from bough.learn.cases.case import BranchCase, load_case
 from bough.learn.gap.consistent import sentence
-from bough.learn.gap.decide import Decision, _turned_into, stretched
+from bough.learn.gap.decide import Decision, _turned_into, held_fast
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.candidates import Candidate
@@ -333,7 +333,7 @@ def test_two_laws_that_each_end_where_they_become_the_other_are_none(high, held)
              "hysteresis_boucwen": EffectParameter("share", "1", 0.0, 1.0, becomes="dry_friction")}  # fmt: skip
     fitted = turning(specs, (0, 0), (1030.0, 1040.0), 1.0)
     fitted.contest.high = torch.tensor(high, dtype=torch.float64)
-    assert stretched(fitted, fitted.models[0]) == held
+    assert held_fast(fitted, fitted.models[0]) == held
 
 
 @pytest.mark.parametrize(("share", "turned"), [(0.0, True), (0.05, False)])
