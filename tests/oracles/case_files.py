@@ -80,8 +80,7 @@ def make_planar(source: Path, folder: Path) -> None:
     for trajectory in meta["trajectories"]:
         rows = np.loadtxt(source / trajectory["file"], delimiter=",", skiprows=1)
         rows[:, [2, 5, 8]] = 0.0
-        header = "t_s,fx_N,fy_N,fz_N,x_m,y_m,z_m,vx_mps,vy_mps,vz_mps"
         text = "\n".join(",".join(f"{v:.7g}" for v in row) for row in rows)
-        (folder / trajectory["file"]).write_text(f"{header}\n{text}\n")
+        (folder / trajectory["file"]).write_text(f"{','.join(BRANCH_COLUMNS)}\n{text}\n")
         trajectory["direction"] = None
     (folder / "meta.yaml").write_text(yaml.safe_dump(meta))

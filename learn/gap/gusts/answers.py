@@ -75,15 +75,21 @@ def acting_along() -> Acting:
     return Acting(GUST, None, {p.name: p.neutral for p in law.parameters if p.name != SIZE})
 
 
+def axes_of(case: BranchCase) -> int:
+    """Return along how many axes the pressure is seen, x before y: a planar case shows x alone."""
+    return 1 if case.planar else 2
+
+
 def answers(contest: Contest, base: Batch, j: int, knots: Knots) -> torch.Tensor:
-    """Return the whitened answer to one pascal at every knot of recording j, along x and then along y, [2 count, T C].
+    """Return the whitened answer to one pascal at every knot of recording j, one axis after the other, [A count, T C].
 
     About the rest of a base model, a batch of one, without any force of a gripper.
     """
     pressure = SMALL * contest.settings[0].force / contest.settings[0].area
     recording = contest.recordings[j]
     calm = _calm(recording, knots)
-    blown = [replace(calm, course=_hat(calm, knots, axis)) for axis in (0, 1)]
+    assert isinstance(contest.case, BranchCase)
+    blown = [replace(calm, course=_hat(calm, knots, axis)) for axis in range(axes_of(contest.case))]
     acting = acting_along()
     unknowns = Unknowns(effects=(replace(acting, known={**acting.known, SIZE: pressure}),))
     values = contest.values(base)[:, : contest.num_base]

@@ -25,7 +25,7 @@ from scipy.optimize import minimize
 from ....sim.base.types import Array
 from ...cases.case import BranchCase
 from ..models.contest import Batch, Contest
-from .answers import Knots, answers, knots_of
+from .answers import Knots, answers, axes_of, knots_of
 
 #: Time of the process at which its search begins [s], first steps of it on logarithms, and evaluations at most.
 TIME, AWAY, EVALUATIONS = 0.25, 0.5, 100
@@ -85,9 +85,9 @@ class Process:
         self._base, self._own = model.free[0, : contest.num_base], contest.num_base
         case, nuisance = contest.case, contest.nuisance
         assert isinstance(case, BranchCase)
-        self._axes = 1 if case.planar else 2
+        self._axes = axes_of(case)
         knots = [knots_of(r, case) for r in contest.recordings]
-        of_knot = [answers(contest, model, j, k)[: self._axes * k.count] for j, k in enumerate(knots)]
+        of_knot = [answers(contest, model, j, k) for j, k in enumerate(knots)]
         mean = torch.stack([torch.stack([half.sum(0) for half in own.chunk(self._axes)]) for own in of_knot], 1)
         self._columns = torch.cat([derivative[0].flatten(2), nuisance.columns, mean])
         self._residual = residual[0].flatten(1)

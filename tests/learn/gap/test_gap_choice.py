@@ -16,6 +16,7 @@ from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.candidates import Candidate
 from bough.learn.gap.models.contest import Batch, Contest
 from bough.learn.gap.models.fitted import FittedModels, Model
+from bough.learn.gap.models.levels import _at_moments
 from bough.learn.gap.models.refit import Fits, fit
 from bough.learn.gap.prepare import prepare
 from bough.learn.gap.run import Run
@@ -344,6 +345,26 @@ def test_a_slider_that_yields_at_once_is_friction(share, turned):
     fitted = turning({"hysteresis_boucwen": yields, "dry_friction": plain}, (0, 0), (1030.0, 1050.0), share)
     slider, friction = fitted.models
     assert _turned_into(fitted, slider) is (friction if turned else slider)
+
+
+def test_a_break_is_tried_in_every_part_of_every_recording():
+    """Try moments in the last third of each, where a break was missed; as fitted, and with what is optional off."""
+    law = effect_of("partial_rupture").branch
+    own = Candidate(Acting("partial_rupture", 0), tuple(range(6)), law)
+    runs = tuple(SimpleNamespace(t_start=x, t=np.array([0.0, 3.0])) for x in (5.0, 30.0))
+    case = BranchCase.__new__(BranchCase)
+    object.__setattr__(case, "trajectories", runs)
+    contest = SimpleNamespace(case=case, parameters=[SimpleNamespace(free=lambda value: value)] * 6)
+    one = torch.tensor([[0.4, 33.5, 0.7, 0.2, 0.03, 0.01]], dtype=torch.float64)
+    tried = _at_moments(contest, Batch(one, one > 0.0, torch.zeros(1, 0), torch.ones(1, 2)), own).free
+    fitted, off = tried.chunk(2)
+    for own_half in (fitted, off):
+        for run in runs:
+            away = own_half[:, 1] - run.t_start
+            assert int(((away > 2.0) & (away < 3.0)).sum()) >= 3 and int(((away >= 0.0) & (away < 1.0)).sum()) >= 3
+    assert (fitted[:, [0, 2, 3, 4, 5]] == one[:, [0, 2, 3, 4, 5]]).all()
+    neutral = torch.tensor([s.neutral for s in law.parameters[2:]], dtype=torch.float64)
+    assert (off[:, 0] == 0.4).all() and (off[:, 2:] == neutral).all()
 
 
 @pytest.mark.parametrize(("off", "left", "turned"), [(0.5, 1050.0, True), (0.1, 1050.0, False), (0.5, 1200.0, False)])
