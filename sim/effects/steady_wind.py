@@ -4,10 +4,15 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.lanes.algebra import add, div, mul, norm, sub
-from ...kernels.lanes.real import real, sqrt_
+from ...kernels.lanes.algebra import add, div, mul, norm, size, sub
+from ...kernels.lanes.real import fma, real, sqrt_, where_neg
 from .flow import ACROSS, CROWN, SLOWNESS, STORM, across, felt
-from .registry import Effect, EffectParameter, Law, register
+from .registry import Effect, EffectParameter, Law, Setting, register
+
+#: The change of a wind that all but dies down: it was ten times as strong.
+CALMER = -9.0
+#: Least, typical and longest time that a wind takes to set in or to die down [s].
+GROWING, TYPICAL, LONGEST = wp.constant(wp.float64(0.05)), 0.5, 3.0
 
 
 @wp.func
@@ -24,10 +29,30 @@ def pressed(q: Any, most: Any, b: Any, m: Any, s: Any, k: Any):
 
 
 @wp.func
+def since(t: Any, t0: Any, d: Any):
+    """x = (t - t0) / d from 0 to 1, d of `GROWING` at least: how far a wind has set in, or died down."""
+    o, one, least = real(0.0, d), real(1.0, d), real(GROWING, d)
+    x = (t - t0) / where_neg(d - least, least, d)
+    x = where_neg(x, o, x)
+    return where_neg(one - x, one, x)
+
+
+@wp.func
 def steady_wind(b: Any, p: Any):
-    """F of the pressure q (x, y, z), m of it across the segment, in air that flows at 1 / s."""
-    q = type(b.velocity)(p.a, p.b, p.c)
-    return pressed(q, norm(q), b, p.d, p.e, p.f)
+    """F of the pressure q (x, y, z) (1 - c (1 - x)), m of it across the segment, in air that flows at 1 / s.
+
+    x rises from 0 to 1 at a moment (`since`): with c = 1 the wind sets in then, with c far below zero it dies down.
+    """
+    q, one = type(b.velocity)(p.a, p.b, p.c), real(1.0, p.g)
+    factor = fma(p.g, since(b.time, p.h, p.i) - one, one)
+    first = size(one - p.g)
+    return pressed(q * factor, norm(q) * where_neg(one - first, first, one), b, p.d, p.e, p.f)
+
+
+def changing(s: Setting) -> list[tuple[float, ...]]:
+    """Return winds that set in, or die down, at some moments of every recording, of a pressure yet to be found."""
+    return [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, change, moment, TYPICAL)
+            for change in (1.0, CALMER) for moment in s.moments[::3]]  # fmt: skip
 
 
 EFFECT = register(
@@ -36,7 +61,8 @@ EFFECT = register(
         plain="a steady wind",
         summary="a force q A on every segment of projected area A, q constant; the share m of the air counts only as"
         " far as it flows across the segment, a segment that moves feels another wind as far as the air is slow, and"
-        " the share crown of the area may hang at the tip; the branch rests displaced by it",
+        " the share crown of the area may hang at the tip; the branch rests displaced by it; before a moment on the"
+        " absolute clock it may be 1 - c times as strong, so that it sets in or dies down then, over a time d",
         source="Vogel, Life in Moving Fluids (1994), chapter 5 (drag as dynamic pressure times area); Hoerner,"
         " Fluid-Dynamic Drag (1965), 3-11 (cross-flow principle)",
         signature="displacement is off in one direction before, during and after contact",
@@ -58,9 +84,32 @@ EFFECT = register(
                 ACROSS,
                 SLOWNESS,
                 CROWN,
+                EffectParameter("changes", "1", CALMER, 2.0, tries=lambda s: [0.0], reach=1.0, optional=True),
+                EffectParameter(
+                    "moment_s",
+                    "s",
+                    lambda s: s.start - LONGEST,
+                    lambda s: s.end,
+                    tries=lambda s: [s.start - LONGEST],
+                    reach=lambda s: 0.25 * s.duration,
+                    optional=True,
+                ),
+                EffectParameter(
+                    "takes_s",
+                    "s",
+                    float(GROWING),
+                    LONGEST,
+                    TYPICAL,
+                    "log",
+                    TYPICAL,
+                    tries=lambda s: [TYPICAL],
+                    optional=True,
+                ),
             ),
             steady_wind,
             per_joint=False,
+            further=changing,
+            moment="moment_s",
             settles=("pressure_x_Pa", "pressure_y_Pa", "pressure_z_Pa"),
         ),
     )

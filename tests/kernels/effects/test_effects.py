@@ -306,6 +306,27 @@ def test_steady_wind_holds_the_stick_aside(tmp_path, across):
         np.testing.assert_allclose(out[k, :3], expected, atol=2e-4 * np.linalg.norm(expected))
 
 
+@pytest.mark.parametrize("changes", [1.0, 0.4, -1.5])
+def test_a_wind_sets_in_or_dies_down(tmp_path, changes):
+    """Rest in 1 - c of the wind before a moment, from the first sample on, and in all of it after; half way half."""
+    case = stick_case(tmp_path / "c", [np.zeros((300, 3))])
+    q, moment, takes = np.array([60.0, -90.0, 40.0]), 2.0, 1.0
+    on = {f"pressure_{c}_Pa": v for c, v in zip("xyz", q, strict=True)}
+    on |= {"changes": changes, "moment_s": moment, "takes_s": takes}
+    out = stick(case, steady_wind=on)[0]
+    a, b = case.radius[0]
+    centre, force = case.length[0] * (a + 2 * b) / (3 * (a + b)), case.length[0] * (a + b) * q
+    before, after = (
+        resting(case, lambda phi: -KS * phi, lambda R, k=k: k * force, point=centre) for k in (1.0 - changes, 1.0)
+    )
+    assert np.linalg.norm(after - before) > 0.002
+    for k, expected in ((0, before), (99, before), (-1, after)):
+        np.testing.assert_allclose(out[k, :3], expected, atol=2e-4 * np.linalg.norm(after))
+    half = resting(case, lambda phi: -KS * phi, lambda R: (1.0 - 0.5 * changes) * force, point=centre)
+    lag = np.linalg.norm(after - before) / takes * DS / KS  # a damper's, behind a rest that moves evenly
+    np.testing.assert_allclose(out[125, :3], half, atol=2.0 * lag + 2e-4)
+
+
 @pytest.mark.parametrize("before", [False, True])
 def test_wind_gust_drives_at_its_frequency(tmp_path, before):
     """Sway without weight as K / (K - J w^2 + i D w) of the static turn, in phase with the absolute clock.
@@ -374,6 +395,26 @@ def test_anisotropy_and_coupling_equal_a_matrix_spring(tmp_path):
     np.testing.assert_allclose(settled(stick(case, **on)[0]), expected, atol=3e-4)
 
 
+def test_a_coupling_with_the_square_of_the_bend(tmp_path):
+    """Rest where the energy K t (kappa u + s u^2 / sqrt(1 + (s u)^4)) beside a spring's does, by its gradient."""
+    case = stick_case(tmp_path / "c", [held(400, 3.0 * FORCE)])
+    kappa, chi, s = 0.2, 1.1, -8.0
+    n, z = np.array([np.cos(chi), np.sin(chi), 0.0]), np.array([0.0, 0.0, 1.0])
+
+    def shared(u, s=s):
+        return kappa * u + s * u**2 / np.sqrt(1.0 + (s * u) ** 4)
+
+    def spring(phi, s=s):
+        u, h = phi @ n, 1e-6
+        slope = (shared(u + h, s) - shared(u - h, s)) / (2.0 * h)
+        return -KS * (phi + slope * phi[2] * n + shared(u, s) * z)
+
+    expected, linear = (resting(case, lambda phi, s=s: spring(phi, s), lambda R: 3.0 * FORCE) for s in (s, 0.0))
+    assert np.linalg.norm(expected - linear) > 2e-3
+    on = {"coupling": kappa, "axis_rad": chi, "squared_prad": s}
+    np.testing.assert_allclose(settled(stick(case, bending_torsion_coupling=on)[0]), expected, atol=3e-4)
+
+
 @pytest.mark.parametrize(
     ("tared", "left", "taken"), [(0.0, 1.0, 0.0), (1.0, 1.0, 1.0), (1.4, 0.6, 1.0), (2.0, 0.0, 1.0)]
 )
@@ -414,20 +455,22 @@ def test_what_an_open_gripper_reads_is_the_offset_of_its_recording(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kappa", "separate", "quintic"),
-    [(-6.0, 0.0, 0.0), (-6.0, 0.0, 0.2), (-6.0, 1.0, 0.2), (20.0, 0.4, 1.0), (20.0, 0.0, 0.5)],
+    ("kappa", "separate", "curved"),
+    [(-6.0, 0.0, 0.0), (-12.0, 0.0, 0.2), (-12.0, 1.0, 0.8), (20.0, 0.4, 1.0), (20.0, 0.0, 0.5)],
 )
-def test_a_spring_that_softens_or_stiffens_holds_a_stick(tmp_path, kappa, separate, quintic):
-    """Rest where K (phi + (1 - q^2) kappa phi^3 + 2 q kappa^2 phi^5), round or an axis, and weight balance a force."""
+def test_a_spring_that_softens_or_stiffens_holds_a_stick(tmp_path, kappa, separate, curved):
+    """Rest where a cubic beside a quintic, or a softening that ends, round or an axis, balances force and weight."""
     case = stick_case(tmp_path / "c", [held(300, 1.5 * FORCE)])
 
     def cubic(u):
-        return (1.0 - quintic**2) * kappa * u + 2.0 * quintic * (kappa * u) ** 2
+        if kappa < 0.0:
+            return kappa * u / (1.0 + 4.0 * curved * abs(kappa) * u)
+        return (1.0 - curved**2) * kappa * u + 2.0 * curved * (kappa * u) ** 2
 
     def spring(phi):
         return -KS * phi * (1.0 + (1.0 - separate) * cubic(phi @ phi) + separate * cubic(phi**2))
 
-    out = stick(case, cubic_stiffness={"cubic_radm2": kappa, "separate": separate, "quintic": quintic})[0]
+    out = stick(case, cubic_stiffness={"cubic_radm2": kappa, "separate": separate, "curved": curved})[0]
     expected = resting(case, spring, lambda R: 1.5 * FORCE)
     np.testing.assert_allclose(settled(out), expected, atol=2e-4)
     assert np.linalg.norm(expected - resting(case, lambda phi: -KS * phi, lambda R: 1.5 * FORCE)) > 2e-3
@@ -557,6 +600,7 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
     acting = (*(Acting(n, 0) for n in at_joint), *(Acting(n) for n in elsewhere))
     at_values = [0.3, 0.05, 1.4, 0.7, 0.3, 0.6, 0.4, 0.4, 0.05, 0.5, 0.3, 0.1]
     other_values = [20.0, 30.0, -20.0, 5.0, 0.9, 0.3, 0.4, 0.3, 0.2, 7.0, 10.0, 5.0, -5.0, 0.6, 0.2, 0.5]
+    other_values += [0.7, 0.4, 0.3]
     other_values += [0.01, 0.015, 0.02, 0.03, -0.01, 0.4]
     other_values += [0.05, 0.5, 0.1, -0.1, 0.2, 1.2, 1.1, 0.9, 0.3, 10.0, 0.04]
     values = torch.tensor([[KS, DS, *at_values, *other_values]])
@@ -565,6 +609,6 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
         monkeypatch.setattr("bough.learn.replay.worlds.simd_width", lambda w=width: w)
         rollout = Rollout(case, recordings(case), 2, unknowns=Unknowns(effects=acting))
         order = [p.name for p in rollout.system.parameters]
-        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 47
+        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 50
         outs.append(rollout(values.repeat(2, 1)).clone())
     assert (outs[0] == outs[1]).all() and torch.isfinite(outs[0]).all()

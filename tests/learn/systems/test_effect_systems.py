@@ -298,12 +298,12 @@ BRANCH_TRUTH = {
     "force_bias": (0.2, -0.3, 0.25, 0.5),
     "force_scale": (1.3, 1.2, 0.9, 0.4, 9.0, 0.05),
     "time_delay": (0.03, 0.04),
-    "steady_wind": (30.0, -40.0, 20.0, 0.4, 0.1, 0.3),
+    "steady_wind": (30.0, -40.0, 20.0, 0.4, 0.1, 0.3, 0.6, 20.7, 0.4),
     "wind_gust": (20.0, -15.0, 10.0, 12.0, 0.9, 0.4, 0.7, 0.1, 0.3, 0.0),
     "gravity_comp_error": (0.15, 0.6, 0.1, -0.1, 0.2),
     "anisotropic_stiffness": (0.8, 0.7, 0.3),
     "bilinear_stiffness": (-0.5, 1.2, 0.02, 0.03, 0.4),
-    "bending_torsion_coupling": (0.4, 0.9),
+    "bending_torsion_coupling": (0.4, 0.9, 1.0),
 }
 FIXED_AT_TRUTH = {
     "force_bias": ("opened",),  # nothing is read of an open gripper
