@@ -57,8 +57,11 @@ OFF = wp.constant(12)
 OPENED = wp.constant(15)
 HEADING = wp.constant(18)
 
-#: Which parameter of a slip is the share that the tracker sees.
+#: Which parameters of a slip are the share that the tracker sees, from when on it slides, and the share of what it slid
+#: in earlier recordings that displacement is not counted from.
 SEEN = wp.constant(5)
+BEGINS = wp.constant(8)
+ZEROED = wp.constant(9)
 
 #: Least time constant of a tracker, in samples, so that powers of a sample over it stay finite.
 LEAST_LAG = wp.constant(wp.float64(1.0e-3))
@@ -110,12 +113,15 @@ def between_ends(x: Any, bottom: Any, top: Any):
 
 
 @wp.func
-def slid(e: int, at: Slots, fx: Any, force: Any, axis: Any, grip: wp.array2d(dtype=wp.float64), j: int, h: Any):
+def slid(
+    e: int, at: Slots, fx: Any, force: Any, axis: Any, grip: wp.array2d(dtype=wp.float64), j: int, time: wp.float64,
+    h: Any,
+):  # fmt: skip
     """Advance how far the grip has slid [m]: rate = a (n x + (1 - n) 1 N) sgn p towards the tip, inside the segment.
 
     The pull is p = (1 - s) |F| + s F_axis: the whole force's size, always towards one end, or its part along the
-    segment. It slides while the excess x = |p| - b - c F_peak is positive, F_peak the recording's largest force, and no
-    farther than the grip lets it, z in [-m, m].
+    segment. It slides while the excess x = |p| - b - c F_peak is positive, F_peak the recording's largest force, from
+    a moment on the clock on, and no farther than the grip lets it, z in [-m, m].
     """
     first = at.slip * PARAMETERS * fx.stride
     a = fx.parameter[e, first]
@@ -127,6 +133,8 @@ def slid(e: int, at: Slots, fx: Any, force: Any, axis: Any, grip: wp.array2d(dty
     size = norm(force)
     pull = fma(fx.parameter[e, first + 4 * fx.stride], dot(force, axis) - size, size)
     excess = where_neg(pull, o - pull, pull) - bear
+    early = real(time, o) - fx.parameter[e, first + BEGINS * fx.stride]
+    excess = where_neg(early, o - one, excess)
     rate = where_neg(excess, o, a * fma(share, excess, one - share))
     rate = where_neg(pull, o - rate, rate)
     new = fma(rate, h, z.x)
@@ -135,6 +143,17 @@ def slid(e: int, at: Slots, fx: Any, force: Any, axis: Any, grip: wp.array2d(dty
     new = between_ends(new, o - most, most)
     fx.memory[e, at.slip_row * fx.stride] = type(z)(new, (new - z.x) / h, z.z)
     return new
+
+
+@wp.func
+def counted_from(e: int, at: Slots, fx: Any, start: Any, calm: Any, along: Any):
+    """Where displacement counts from: the marked point at rest, or as far as it is zeroed where the grip slid to."""
+    if is_on(e, at.slip, fx):
+        z = fx.memory[e, at.slip_row * fx.stride]
+        first = at.slip * PARAMETERS
+        share = fx.parameter[e, (first + SEEN) * fx.stride] * fx.parameter[e, (first + ZEROED) * fx.stride]
+        start = add_scaled(start, rotate(calm, along), share * z.x)
+    return start
 
 
 @wp.func
@@ -344,17 +363,17 @@ def replay_samples(
             if is_on(e, at.delay, fx) and k >= 0:
                 ends = opening(input_in, j, k, n)
             for step in range(substeps):
+                time = begin + wp.float64(k * substeps + step) * h
                 if k >= 0:
                     now = Moment(j, k, k + 1, step, substeps, 1)
                     force = acting(e, fx, at.delay, input_in, now, n, ends, rate, s.pose[row, place], like, law)
                     u.force[e, place] = force
                     if is_on(e, at.slip, fx):
                         axis = rotate(s.pose[row, place], along)
-                        far = slid(e, at, fx, force, axis, grip, j, real(h, nominal.x))
+                        far = slid(e, at, fx, force, axis, grip, j, time, real(h, nominal.x))
                         u.point[e, place] = add_scaled(nominal, along, far)
-                since = wp.float64(k * substeps + step) * h
                 blow_on(e, j, k + lead, step, substeps, fx, course_in, start)
-                advance(e, row, m, x, u, fx, s, h, begin + since, bound, MOVING, h)
+                advance(e, row, m, x, u, fx, s, h, time, bound, MOVING, h)
 
 
 @wp.func
@@ -454,6 +473,7 @@ def _point_kernel(width: int, precision: int, terms: tuple[Term, ...]) -> Any:
             blow_on(e, j, 0, 0, 1, fx, course_in, nominal)
             start, calm = set_out(e, r, j, place, j == first_of[e], at, m, x_in_out, u_out, fx, s_out, grip, nominal,
                                   begins[j], rested, bound, advance, hold)  # fmt: skip
+            start = counted_from(e, at, fx, start, calm, grip_of(grip, j, ALONG, nominal))
             zero = nominal - nominal
             opened = grip_of(grip, j, OPENED, nominal)
             heading = grip_of(grip, j, HEADING, nominal)

@@ -440,7 +440,7 @@ def _breaks(contest: Contest, model: Model, candidate: Candidate) -> tuple[float
     """Return when a candidate's break begins and ends on the absolute clock [s]."""
     values = _values(contest, model, candidate)
     begin = values[candidate.law.moment]
-    return begin, begin + values["takes_s"]
+    return begin, begin + values.get("takes_s", 0.0)
 
 
 def _values(contest: Contest, model: Model, candidate: Candidate) -> dict[str, float]:

@@ -156,9 +156,13 @@ class ActingSet:
         return (self._changed(columns) * rests.to(columns)).amax(1)
 
     def _rests(self, entry: Entry) -> int:
-        """Return how a branch rests elsewhere where an entry is not neutral: a load, or the share of what remembers."""
+        """Return how a branch rests elsewhere where an entry is not neutral: a load, or the share of what remembers.
+
+        What a grip remembers moves no joint.
+        """
         law = self.laws[self.names[entry.place // PARAMETERS]]
-        return 2 if entry.spec.name in law.settles else int(law.persistent and entry.place % PARAMETERS == 0)
+        remembers = law.persistent and law.kind == "joint"
+        return 2 if entry.spec.name in law.settles else int(remembers and entry.place % PARAMETERS == 0)
 
     def switched_on(self, columns: torch.Tensor) -> torch.Tensor:
         """Return whether some parameter of each effect is not neutral, [sets, names]; a trunk's plane is a law."""

@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from itertools import product
 
-from .registry import Effect, EffectParameter, Law, Setting, register
+from .registry import Effect, EffectParameter, Law, Setting, kept_share, register
 
 #: Farthest slide of a grip that nothing but the segment's ends stops [m].
 ENDLESS = 100.0
+#: The moment from which on a grip slides that may always do so [s], and how long before the recordings one may lie.
+ALWAYS, BEFORE = -1e9, 1.0
 
 
 def _ways(s: Setting) -> list[float]:
@@ -21,7 +23,20 @@ def _further(s: Setting) -> Sequence[tuple[float, ...]]:
     unseen = product(_ways(s), least, [0.0], [1.0], [0.0], [0.0])
     fast, ends = (_ways(s)[0], _ways(s)[-1]), [m * s.length for m in (0.02, 0.05, 0.15)]
     jerks = product(fast, [b * s.force for b in (0.1, 0.3, 0.6)], [0.0], [1.0], [0.0], [1.0], ends)
-    return [*((*slide, s.length) for slide in (*along, *unseen)), *jerks]
+    fresh = [*((*slide, s.length) for slide in (*along, *unseen)), *jerks]
+    return [*((*slide, 0.0, s.start - BEFORE, 0.0) for slide in fresh), *_kept(s)]
+
+
+def _kept(s: Setting) -> list[tuple[float, ...]]:
+    """Grips that are not taken anew, as far as the tracker counts: they slide by force, jerk, or slide at a moment."""
+    ways, fast = _ways(s), (_ways(s)[0], _ways(s)[-1])
+    slides = [(way, b * s.force, 0.0, 1.0, 0.0, 1.0, s.length, 1.0, s.start - BEFORE)
+              for way in ways for b in (0.05, 0.3)]  # fmt: skip
+    jerks = [(way, b * s.force, 0.0, 1.0, 0.0, 1.0, 0.1 * s.length, 1.0, s.start - BEFORE)
+             for way in fast for b in (0.4, 0.7)]  # fmt: skip
+    once = [(way, 0.05 * s.force, 0.0, 1.0, 0.0, 1.0, 0.1 * s.length, 1.0, moment)
+            for way in fast for moment in s.moments[::3]]  # fmt: skip
+    return [(*slide, zeroed) for slide in (*slides, *jerks, *once) for zeroed in (0.0, 1.0)]
 
 
 EFFECT = register(
@@ -33,7 +48,8 @@ EFFECT = register(
         " or, as far as it is not viscous, at the rate of 1 N of excess; as far as it is axial, only the force along"
         " the segment counts, and it slides where that points; inside the segment's ends and no farther than most_m;"
         " the tracker sees the share seen of the slide, all where it follows the gripper, none where it follows a mark"
-        " on the wood; it holds the marked point again in the next recording",
+        " on the wood; in the next recording it holds the marked point again, or, in the share kept, where it slid to,"
+        " which displacement may be counted from (zeroed); and it may slide from a moment on the absolute clock on",
         source="Bingham 1922 (yield, then viscous flow); Coulomb 1785 (force that does not grow with the rate);"
         " displacement is that of the point that is held, or of the mark",
         signature="displacement drifts along the segment while the force is held, and stays away after the release",
@@ -65,10 +81,25 @@ EFFECT = register(
                     tries=lambda s: [s.length],
                     optional=True,
                 ),
+                kept_share(0.0),
+                EffectParameter(
+                    "moment_s",
+                    "s",
+                    lambda s: s.start - BEFORE,
+                    lambda s: s.end,
+                    neutral=ALWAYS,
+                    tries=lambda s: [s.start - BEFORE],
+                    reach=lambda s: 0.25 * s.duration,
+                    optional=True,
+                ),
+                EffectParameter("zeroed", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True),
             ),
             further=_further,
             per_joint=False,
             memory=1,
+            persistent=True,
+            keeps="kept",
+            moment="moment_s",
         ),
     )
 )

@@ -117,3 +117,31 @@ def test_a_grip_may_jerk_and_hold_again(tmp_path, mobility):
     t = case.trajectories[0].t
     early = t < 0.1 + 0.4 * least / np.linalg.norm(FORCE)  # the force rises from 0.1 to 0.5 s
     assert (out[early] == stick(case)[0][early]).all()
+
+
+@pytest.mark.parametrize(("kept", "zeroed"), [(1.0, 0.0), (0.6, 0.0), (1.0, 1.0), (0.6, 0.5)])
+def test_a_grip_that_is_not_taken_anew_stays_where_it_slid(tmp_path, kept, zeroed):
+    """Begin the next recording with the share kept of the way, and hold there; see what is not zeroed of it."""
+    most = 0.03
+    case = stick_case(tmp_path / "c", [held(200), held(200, 0.5 * FORCE)])
+    on = {"mobility_mpNs": -20.0, "least_N": 0.8 * np.linalg.norm(FORCE), "most_m": most}
+    out = stick(case, grasp_slip={**on, "kept": kept, "zeroed": zeroed})
+    assert (out[0] == stick(case, grasp_slip=on)[0]).all()
+    at, shift = 0.4 - kept * most, zeroed * kept * most * case.axis[0]
+    for k, force in ((0, 0.0 * FORCE), (-1, 0.5 * FORCE)):
+        expected = resting(case, lambda phi: -KS * phi, lambda R, f=force: f, point=at, seen=at)
+        np.testing.assert_allclose(out[1, k, :3] if k == 0 else settled(out[1]), expected + shift, atol=1e-4)
+
+
+def test_a_grip_may_slide_from_a_moment_on(tmp_path):
+    """Hold until a moment on the clock, in the second recording, and jerk then, however large the force was before."""
+    most, moment = 0.03, 21.5
+    case = stick_case(tmp_path / "c", [held(200), held(200)])
+    on = {"mobility_mpNs": 20.0, "least_N": 1.0, "most_m": most, "moment_s": moment}
+    plain, out = stick(case), stick(case, grasp_slip=on)
+    before = case.trajectories[1].t + 20.0 <= moment
+    np.testing.assert_allclose(out[0], plain[0], atol=1e-6)
+    np.testing.assert_allclose(out[1, before], plain[1, before], atol=1e-6)
+    at = 0.4 + most
+    expected = resting(case, lambda phi: -KS * phi, lambda R: FORCE, point=at, seen=at)
+    np.testing.assert_allclose(settled(out[1]), expected, atol=1e-4)

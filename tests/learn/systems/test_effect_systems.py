@@ -294,7 +294,7 @@ BRANCH_TRUTH = {
     "backlash": (0.03, 0.5, 0.1, 0.3, 1.0, 0.7, 0.4, 0.2),
     "plastic_set": (0.4, 0.1, 0.6, 0.5, 0.1),
     "partial_rupture": (0.4, 0.3, 0.5, 0.2, 0.03, 0.05),
-    "grasp_slip": (-0.05, 0.5, 0.2, 1.0, 0.3, 0.7, 100.0),
+    "grasp_slip": (-0.05, 0.5, 0.2, 1.0, 0.3, 0.7, 100.0, 0.6, -1e9, 0.0),
     "force_bias": (0.2, -0.3, 0.25, 0.5),
     "force_scale": (1.3, 1.2, 0.9, 0.4, 9.0, 0.05),
     "time_delay": (0.03, 0.04),
@@ -310,7 +310,7 @@ FIXED_AT_TRUTH = {
     "plastic_set": ("separate",),
     "hysteresis_boucwen": ("twist",),  # a stick that is pulled in its axis does not twist
     "backlash": ("twist",),
-    "grasp_slip": ("viscous", "most_m"),  # less of either is a jump, for which see test_grasp_slip
+    "grasp_slip": ("viscous", "most_m", "moment_s", "zeroed"),  # jumps, for which see test_grasp_slip
     "quadratic_drag": ("across", "crown"),  # a stick on a ball joint moves across itself alone, as its tip does
     "gravity_comp_error": ("tared", "ahead_N", "across_N"),  # without directions nothing turns
     "wind_gust": ("frequency_Hz", "across", "crown", "rms_Pa"),  # no course was read off
