@@ -407,9 +407,9 @@ def _drifts_or_strikes(fitted: FittedModels, model: Model) -> bool:
 
 
 def _lasting(name: str) -> bool:
-    """Return whether an effect happens to a branch at one moment and for good."""
+    """Return whether an effect happens to a branch's joint at one moment and for good."""
     law = effect_of(name).law("branch")
-    return bool(law.moment) and law.persistent
+    return bool(law.moment) and law.persistent and law.kind == "joint"
 
 
 def breaks_untouched(fitted: FittedModels, model: Model) -> bool:
@@ -440,7 +440,7 @@ def _breaks(contest: Contest, model: Model, candidate: Candidate) -> tuple[float
     """Return when a candidate's break begins and ends on the absolute clock [s]."""
     values = _values(contest, model, candidate)
     begin = values[candidate.law.moment]
-    return begin, begin + values.get("takes_s", 0.0)
+    return begin, begin + values["takes_s"]
 
 
 def _values(contest: Contest, model: Model, candidate: Candidate) -> dict[str, float]:

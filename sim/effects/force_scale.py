@@ -55,10 +55,10 @@ _WARMING = (
         optional=True,
     ),
 )
-#: How a sensor's reading curves with the force, by up to nine tenths of the largest one recorded, either way alike: a
-#: prior is about the middle of its box. Below a quarter the largest readings have no root, see `LEAST_BENT`.
+#: How a sensor's reading curves with the force, by up to four times the largest one recorded, either way alike: a prior
+#: is about the middle of its box. Below minus a quarter the largest readings have no root, see `LEAST_BENT`.
 _CURVED = EffectParameter(
-    "curved_pN", "1/N", lambda s: -0.9 / s.force, lambda s: 0.9 / s.force, reach=lambda s: 0.3 / s.force, optional=True
+    "curved_pN", "1/N", lambda s: -4.0 / s.force, lambda s: 4.0 / s.force, reach=lambda s: 0.3 / s.force, optional=True
 )  # fmt: skip
 
 EFFECT = register(

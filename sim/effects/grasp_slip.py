@@ -28,13 +28,13 @@ def _further(s: Setting) -> Sequence[tuple[float, ...]]:
 
 
 def _kept(s: Setting) -> list[tuple[float, ...]]:
-    """Grips that are not taken anew, as far as the tracker counts: they slide by force, jerk, or slide at a moment."""
+    """Grips that are not taken anew, zeroed or not: they slide by force, jerk, or slide evenly from a moment on."""
     ways, fast = _ways(s), (_ways(s)[0], _ways(s)[-1])
     slides = [(way, b * s.force, 0.0, 1.0, 0.0, 1.0, s.length, 1.0, s.start - BEFORE)
               for way in ways for b in (0.05, 0.3)]  # fmt: skip
     jerks = [(way, b * s.force, 0.0, 1.0, 0.0, 1.0, 0.1 * s.length, 1.0, s.start - BEFORE)
              for way in fast for b in (0.4, 0.7)]  # fmt: skip
-    once = [(way, 0.05 * s.force, 0.0, 1.0, 0.0, 1.0, 0.1 * s.length, 1.0, moment)
+    once = [(3.0 * way, 0.05 * s.force, 0.0, 0.0, 0.0, 1.0, 0.1 * s.length, 1.0, moment)
             for way in fast for moment in s.moments[::3]]  # fmt: skip
     return [(*slide, zeroed) for slide in (*slides, *jerks, *once) for zeroed in (0.0, 1.0)]
 
