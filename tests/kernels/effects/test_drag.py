@@ -1,4 +1,4 @@
-"""Drag on a piece of a segment: the law beside its formula in float64, and what its shares mean in plain cases."""
+"""Drag on a piece of a segment: the law beside its formula in float64, its shares in plain cases; a wind in time."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ import warp as wp
 from bough.kernels.effects.structs import effect_types
 from bough.learn.laws.bench import SETTING, ask_link
 from bough.sim.effects import effect_of, in_setting
+from oracles.effect_case import DS, KS, resting, stick, stick_case
 from scipy.spatial.transform import Rotation
 
 T = effect_types(1, 32)
@@ -76,3 +77,24 @@ def test_no_wind_is_so_slow_that_it_is_drag(name):
     speeds = SETTING.speed * np.array([0.0, 1.0, -1.0])
     force = ask_link(law, values, np.stack([speeds, 0.0 * speeds, 0.0 * speeds], axis=-1)[None])[0]
     np.testing.assert_allclose(force[1:, 0] / force[0, 0], [0.49, 1.69], rtol=1e-9)
+
+
+@pytest.mark.parametrize("changes", [1.0, 0.4, -1.5])
+def test_a_wind_sets_in_or_dies_down(tmp_path, changes):
+    """Rest in 1 - c of the wind before a moment, from the first sample on, and in all of it after; half way half."""
+    case = stick_case(tmp_path / "c", [np.zeros((300, 3))])
+    q, moment, takes = np.array([60.0, -90.0, 40.0]), 2.0, 1.0
+    on = {f"pressure_{c}_Pa": v for c, v in zip("xyz", q, strict=True)}
+    on |= {"changes": changes, "moment_s": moment, "takes_s": takes}
+    out = stick(case, steady_wind=on)[0]
+    a, b = case.radius[0]
+    centre, force = case.length[0] * (a + 2 * b) / (3 * (a + b)), case.length[0] * (a + b) * q
+    before, after = (
+        resting(case, lambda phi: -KS * phi, lambda R, k=k: k * force, point=centre) for k in (1.0 - changes, 1.0)
+    )
+    assert np.linalg.norm(after - before) > 0.002
+    for k, expected in ((0, before), (99, before), (-1, after)):
+        np.testing.assert_allclose(out[k, :3], expected, atol=2e-4 * np.linalg.norm(after))
+    half = resting(case, lambda phi: -KS * phi, lambda R: (1.0 - 0.5 * changes) * force, point=centre)
+    lag = np.linalg.norm(after - before) / takes * DS / KS  # a damper's, behind a rest that moves evenly
+    np.testing.assert_allclose(out[125, :3], half, atol=2.0 * lag + 2e-4)
