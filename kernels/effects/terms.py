@@ -117,6 +117,11 @@ class Term(NamedTuple):
     follows: bool = False
 
     @property
+    def lasting(self) -> bool:
+        """Whether what outlasts a recording is a joint's, so that a branch rests elsewhere: a grip moves no joint."""
+        return self.persistent and self.kind == "joint"
+
+    @property
     def at_joint(self) -> Any:
         """Device function of what it does at joints; None where it does nothing there."""
         return self.law if self.kind == "joint" else self.strains

@@ -350,6 +350,15 @@ def size(x: Any):
 
 
 @wp.func
+def begun(t: Any, t0: Any, d: Any):
+    """(t - t0) / d within 0 and 1: how far what begins at t0 and takes d has come by t."""
+    o, one = t - t, real(1.0, t)
+    x = (t - t0) / d
+    x = where_neg(x, o, x)
+    return where_neg(one - x, one, x)
+
+
+@wp.func
 def norm(v: Any):
     """|v|, above zero, so that it can be divided by."""
     o = real(0.0, v.x)

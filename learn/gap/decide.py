@@ -409,7 +409,7 @@ def _drifts_or_strikes(fitted: FittedModels, model: Model) -> bool:
 def _lasting(name: str) -> bool:
     """Return whether an effect happens to a branch's joint at one moment and for good."""
     law = effect_of(name).law("branch")
-    return bool(law.moment) and law.persistent and law.kind == "joint"
+    return bool(law.moment) and law.lasting
 
 
 def breaks_untouched(fitted: FittedModels, model: Model) -> bool:

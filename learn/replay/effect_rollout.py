@@ -109,9 +109,8 @@ class EffectArrays:
         marks = acting.marks(columns)
         rollout.place_marks(self.arrays["settle"], marks)
         on, terms = acting.switched_on(columns), self.terms
-        of_kind = ([acts(x, "joint") for x in terms], [acts(x, "link") for x in terms],
-                   [x.persistent and x.kind == "joint" for x in terms], [x.holds is not None for x in terms],
-                   [x.precedes for x in terms])  # fmt: skip
+        of_kind = ([acts(x, "joint") for x in terms], [acts(x, "link") for x in terms], [x.lasting for x in terms],
+                   [x.holds is not None for x in terms], [x.precedes for x in terms])  # fmt: skip
         kinds = [(on & torch.tensor(k, device=on.device)).any(1, keepdim=True) for k in of_kind]
         sets = torch.cat([on, *kinds, marks[:, None] != 0.0, acting.changes("crown", columns)[:, None]], 1)
         groups = sets.view(rollout.blocks, rollout.model.width, -1).any(1)

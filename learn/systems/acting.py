@@ -156,13 +156,9 @@ class ActingSet:
         return (self._changed(columns) * rests.to(columns)).amax(1)
 
     def _rests(self, entry: Entry) -> int:
-        """Return how a branch rests elsewhere where an entry is not neutral: a load, or the share of what remembers.
-
-        What a grip remembers moves no joint.
-        """
+        """Return how a branch rests elsewhere where an entry is not neutral: a load, or the share of what remembers."""
         law = self.laws[self.names[entry.place // PARAMETERS]]
-        remembers = law.persistent and law.kind == "joint"
-        return 2 if entry.spec.name in law.settles else int(remembers and entry.place % PARAMETERS == 0)
+        return 2 if entry.spec.name in law.settles else int(law.lasting and entry.place % PARAMETERS == 0)
 
     def switched_on(self, columns: torch.Tensor) -> torch.Tensor:
         """Return whether some parameter of each effect is not neutral, [sets, names]; a trunk's plane is a law."""

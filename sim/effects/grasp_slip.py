@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from itertools import product
 
-from .registry import Effect, EffectParameter, Law, Setting, kept_share, register
+from .registry import Effect, EffectParameter, Law, Setting, kept_share, moment_parameter, register
 
 #: Farthest slide of a grip that nothing but the segment's ends stops [m].
 ENDLESS = 100.0
@@ -82,16 +82,7 @@ EFFECT = register(
                     optional=True,
                 ),
                 kept_share(0.0),
-                EffectParameter(
-                    "moment_s",
-                    "s",
-                    lambda s: s.start - BEFORE,
-                    lambda s: s.end,
-                    neutral=ALWAYS,
-                    tries=lambda s: [s.start - BEFORE],
-                    reach=lambda s: 0.25 * s.duration,
-                    optional=True,
-                ),
+                moment_parameter(BEFORE, neutral=ALWAYS),
                 EffectParameter("zeroed", "1", 0.0, 1.0, tries=lambda s: [0.0], optional=True),
             ),
             further=_further,

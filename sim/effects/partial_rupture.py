@@ -4,9 +4,9 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.lanes.algebra import add, div, mul, norm, sub
+from ...kernels.lanes.algebra import add, begun, div, mul, norm, sub
 from ...kernels.lanes.real import real, where_neg
-from .registry import Effect, EffectParameter, Law, Setting, register
+from .registry import Effect, EffectParameter, Law, Setting, moment_parameter, register
 
 #: Least time that the fibres take to part [s].
 BREAKING = wp.constant(wp.float64(0.05))
@@ -38,11 +38,8 @@ def partial_rupture(j: Any, p: Any, r: Any):
     g grows with the largest bend so far (`grown`), which the joint remembers.
     """
     o = real(0.0, p.a)
-    one = real(1.0, o)
     least = real(BREAKING, o)
-    x = (j.time - p.b) / where_neg(p.d - least, least, p.d)
-    x = where_neg(x, o, x)
-    x = where_neg(one - x, one, x)
+    x = begun(j.time, p.b, where_neg(p.d - least, least, p.d))
     bend = norm(j.angle)
     most = where_neg(bend - r.memory.x, r.memory.x, bend)
     lost = p.a * x * grown(most, p.e, p.f)
@@ -80,14 +77,7 @@ EFFECT = register(
             "joint",
             (
                 EffectParameter("share", "1", 0.0, 0.95, typical=0.3, tries=1),
-                EffectParameter(
-                    "moment_s",
-                    "s",
-                    lambda s: s.start - BEFORE,
-                    lambda s: s.end,
-                    tries=lambda s: s.moments,
-                    reach=lambda s: 0.25 * s.duration,
-                ),
+                moment_parameter(BEFORE),
                 EffectParameter("preload", "1", 0.0, 1.0, tries=1, optional=True),
                 EffectParameter(
                     "takes_s",

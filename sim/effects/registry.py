@@ -130,6 +130,24 @@ def kept_share(neutral: float) -> EffectParameter:
     return EffectParameter("kept", "1", 0.0, 1.0, neutral=neutral, tries=lambda s: [neutral], optional=True)
 
 
+def moment_parameter(before: float, *, neutral: float | None = None) -> EffectParameter:
+    """Return the moment on the clock at which an effect happens, up to ``before`` [s] before the recordings.
+
+    With a ``neutral`` one a file may leave it out, and a search begins where it lies before all; else at `moments`.
+    """
+
+    def first(s: Setting) -> float:
+        return s.start - before
+
+    def tried(s: Setting) -> Sequence[float]:
+        return s.moments if neutral is None else [first(s)]
+
+    return EffectParameter(
+        "moment_s", "s", first, lambda s: s.end, neutral or 0.0, tries=tried, reach=lambda s: 0.25 * s.duration,
+        optional=neutral is not None,
+    )  # fmt: skip
+
+
 def axes_across(*, circle: bool, count: int) -> list[float]:
     """Return angles of ``count`` axes across a segment [rad], evenly around the whole circle or around half."""
     end = 2.0 * math.pi if circle else math.pi
@@ -202,6 +220,11 @@ class Law:
     follows: bool = False
     alike: tuple[str, ...] = ()
     throughout: bool = False
+
+    @property
+    def lasting(self) -> bool:
+        """Whether what outlasts a recording is a joint's, so that a branch rests elsewhere: a grip moves no joint."""
+        return self.persistent and self.kind == "joint"
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,10 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.lanes.algebra import add, div, mul, norm, size, sub
+from ...kernels.lanes.algebra import add, begun, div, mul, norm, size, sub
 from ...kernels.lanes.real import fma, real, sqrt_, where_neg
 from .flow import ACROSS, CROWN, SLOWNESS, STORM, across, felt
-from .registry import Effect, EffectParameter, Law, Setting, register
+from .registry import Effect, EffectParameter, Law, Setting, moment_parameter, register
 
 #: The change of a wind that all but dies down: it was ten times as strong.
 CALMER = -9.0
@@ -29,22 +29,14 @@ def pressed(q: Any, most: Any, b: Any, m: Any, s: Any, k: Any):
 
 
 @wp.func
-def since(t: Any, t0: Any, d: Any):
-    """x = (t - t0) / d from 0 to 1, d of `GROWING` at least: how far a wind has set in, or died down."""
-    o, one, least = real(0.0, d), real(1.0, d), real(GROWING, d)
-    x = (t - t0) / where_neg(d - least, least, d)
-    x = where_neg(x, o, x)
-    return where_neg(one - x, one, x)
-
-
-@wp.func
 def steady_wind(b: Any, p: Any):
     """F of the pressure q (x, y, z) (1 - c (1 - x)), m of it across the segment, in air that flows at 1 / s.
 
-    x rises from 0 to 1 at a moment (`since`): with c = 1 the wind sets in then, with c far below zero it dies down.
+    x rises from 0 to 1 at a moment (`begun`), over `GROWING` at least: with c = 1 the wind sets in then, with c far
+    below zero it dies down.
     """
-    q, one = type(b.velocity)(p.a, p.b, p.c), real(1.0, p.g)
-    factor = fma(p.g, since(b.time, p.h, p.i) - one, one)
+    q, one, least = type(b.velocity)(p.a, p.b, p.c), real(1.0, p.g), real(GROWING, p.i)
+    factor = fma(p.g, begun(b.time, p.h, where_neg(p.i - least, least, p.i)) - one, one)
     first = size(one - p.g)
     return pressed(q * factor, norm(q) * where_neg(one - first, first, one), b, p.d, p.e, p.f)
 
@@ -85,15 +77,7 @@ EFFECT = register(
                 SLOWNESS,
                 CROWN,
                 EffectParameter("changes", "1", CALMER, 2.0, tries=lambda s: [0.0], reach=1.0, optional=True),
-                EffectParameter(
-                    "moment_s",
-                    "s",
-                    lambda s: s.start - LONGEST,
-                    lambda s: s.end,
-                    tries=lambda s: [s.start - LONGEST],
-                    reach=lambda s: 0.25 * s.duration,
-                    optional=True,
-                ),
+                moment_parameter(LONGEST, neutral=0.0),
                 EffectParameter(
                     "takes_s",
                     "s",

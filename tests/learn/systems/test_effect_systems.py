@@ -314,7 +314,7 @@ FIXED_AT_TRUTH = {
     "quadratic_drag": ("across", "crown"),  # a stick on a ball joint moves across itself alone, as its tip does
     "gravity_comp_error": ("tared", "ahead_N", "across_N"),  # without directions nothing turns
     "wind_gust": ("frequency_Hz", "across", "crown", "rms_Pa"),  # no course was read off
-    "steady_wind": ("across", "crown", "moment_s", "takes_s"),  # a kink in time, for which see test_effects
+    "steady_wind": ("across", "crown", "moment_s", "takes_s"),  # a kink in time, for which see test_drag
     "partial_rupture": ("moment_s",),
     "viscoelastic_sls": ("kept",),  # nothing of it is left after 20 s
 }
