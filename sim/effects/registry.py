@@ -135,16 +135,10 @@ def moment_parameter(before: float, *, neutral: float | None = None) -> EffectPa
 
     With a ``neutral`` one a file may leave it out, and a search begins where it lies before all; else at `moments`.
     """
-
-    def first(s: Setting) -> float:
-        return s.start - before
-
-    def tried(s: Setting) -> Sequence[float]:
-        return s.moments if neutral is None else [first(s)]
-
     return EffectParameter(
-        "moment_s", "s", first, lambda s: s.end, neutral or 0.0, tries=tried, reach=lambda s: 0.25 * s.duration,
-        optional=neutral is not None,
+        "moment_s", "s", lambda s: s.start - before, lambda s: s.end, neutral or 0.0,
+        tries=lambda s: s.moments if neutral is None else [s.start - before],
+        reach=lambda s: 0.25 * s.duration, optional=neutral is not None,
     )  # fmt: skip
 
 
