@@ -22,6 +22,7 @@ from .models.levels import (
     begun_again,
     better_of,
     first_level,
+    in_plain_form,
     led_whole,
     mirrored,
     moved,
@@ -103,6 +104,7 @@ def _searched(base: Base, evidence: Evidence, run: Run) -> Searched:
         if fitted.needs_more(fitted.best):
             fitted.models += led_whole(fitted.contest)
             fitted.models += at_other_moments(fitted.contest, fitted.of_size(1)[:LEADERS])
+            fitted.models += in_plain_form(fitted.contest, fitted.of_size(1)[:LEADERS])
         _begin_leaders_again(fitted, 1)
         known = base.noise
         fitted = _recoloured(base, fitted)
@@ -212,7 +214,8 @@ def _add_effects(fitted: FittedModels, run: Run) -> None:
         _begin_leaders_again(fitted, count)
         if fitted.needs_more(fitted.best):
             fitted.models += at_other_moments(fitted.contest, fitted.of_size(count)[:1])
-        fitted.models += reduced(fitted.contest, fitted.of_size(count)[:1])
+        leader = fitted.of_size(count)[:1]
+        fitted.models += reduced(fitted.contest, leader) + mirrored(fitted.contest, leader)
     if fitted.needs_more(fitted.best):
         fitted.models += widespread(fitted, run.settings.max_effects)
 

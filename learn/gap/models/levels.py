@@ -18,6 +18,7 @@ from .contest import Batch, Contest, activated
 from .fitted import FittedModels, Model, penalty
 from .frequencies import frequency_probes
 from .horizons import led, led_on
+from .nested import neutral_of, switches
 from .refit import Fits, evaluated, fit
 from .scan import Basis, Scan, all_probes, score_probes, start_batch
 
@@ -233,6 +234,32 @@ def at_other_moments(contest: Contest, models: Sequence[Model]) -> list[Model]:
             best = evaluated(contest, tried).cost.argsort()[:EARLIEST].tolist()
             begun += [(model.members, tried[slice(k, k + 1)]) for k in best]
     return _settled(contest, begun, ITERATIONS[-1])
+
+
+def in_plain_form(contest: Contest, models: Sequence[Model]) -> list[Model]:
+    """Return models begun again with the optional parameters of their laws off, at their strengths and at half of them.
+
+    A law of many parameters may end where some of them make up for another: its strength at an end of its box.
+    """
+    begun = []
+    for model in models:
+        own = [c for c in model.members if any(spec.optional for spec in contest.candidates[c].specs)]
+        begun += [(model.members, _plain(contest, model.fit.batch, own, share)) for share in (1.0, 0.5) if own]
+    return _settled(contest, begun, ITERATIONS[-1])
+
+
+def _plain(contest: Contest, batch: Batch, candidates: Sequence[int], share: float) -> Batch:
+    """Return a model, a batch of one, some of its laws with a share of their strengths and no optional parameters."""
+    out, values = batch.copy(), contest.values(batch)[0]
+    for c in candidates:
+        own = contest.candidates[c]
+        for k in switches(contest, own):
+            weaker = share * float(values[k]) + (1.0 - share) * float(contest.neutral[k])
+            out.free[:, k] = contest.parameters[k].free(weaker)
+        for k, spec in zip(own.columns, own.specs, strict=True):
+            if spec.optional:
+                out.free[:, k] = neutral_of(contest, k)
+    return out
 
 
 def _at_moments(contest: Contest, batch: Batch, own: Candidate) -> Batch:

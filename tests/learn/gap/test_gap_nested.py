@@ -21,6 +21,7 @@ from bough.learn.gap.models.levels import (
     _likely,
     _mirrored,
     _started,
+    in_plain_form,
     mirrored,
     scan_candidates,
     taken_for,
@@ -381,6 +382,29 @@ def test_a_fit_on_the_wrong_side_is_led_to_the_other(branch):
     values = contest.values(single.fit.batch)[0, list(contest.candidates[one].columns)]
     np.testing.assert_allclose(values, [-0.57, 1.2, 0.005, 0.0, 0.0], atol=0.01)
     assert mirrored(contest, [Model((two,), astray)]) == []  # an anisotropic spring has no other side
+
+
+def test_a_fit_whose_optional_parameters_make_up_for_its_strength_begins_in_plain_form(branch):
+    """A spring 2.76 times as stiff one way, without noise; fitted from 4 times, softer the other way, its corner off rest.
+
+    That fit ends at the end of its box, softer the other way. Without what is optional, from all or half of the
+    strength, nothing is left, with the values that made the data.
+    """
+    contest = Contest(branch, recordings(branch), np.full(6, 0.003), ("bilinear_stiffness", "dry_friction"))
+    one = next(k for k, c in enumerate(contest.candidates) if c.name == "bilinear_stiffness")
+    own = list(contest.candidates[one].columns)
+    truth = activated(contest, contest.base_batch(1), [(one,)])
+    truth.free[0, own] = torch.tensor([1.76, 1.29, math.log(0.0017), 0.0, 0.0], dtype=torch.float64)
+    contest.measured = contest.simulate(contest.values(truth), truth.start)[0].double()
+    begun = truth.copy()
+    begun.free[0, own] = torch.tensor([3.0, 1.82, -5.03, 0.044, 0.78], dtype=torch.float64)
+    astray = Model((one,), fit(contest, begun, 24), True)
+    found = in_plain_form(contest, [astray])
+    assert [m.members for m in found] == [(one,)] * 2
+    best = min(found, key=lambda m: m.chi2)
+    assert best.chi2 < 0.01 * contest.num_samples < astray.chi2
+    values = contest.values(best.fit.batch)[0, own]
+    np.testing.assert_allclose(values, [1.76, 1.29, 0.0017, 0.0, 0.0], atol=0.02)
 
 
 @pytest.mark.parametrize("share", [None, 0.04])
