@@ -385,7 +385,7 @@ def test_a_fit_on_the_wrong_side_is_led_to_the_other(branch):
 
 
 def test_a_fit_whose_optional_parameters_make_up_for_its_strength_begins_in_plain_form(branch):
-    """A spring 2.76 times as stiff one way, without noise; fitted from 4 times, softer the other way, its corner off rest.
+    """A spring 2.76 times as stiff one way, without noise; fitted from 4 times, a corner off rest.
 
     That fit ends at the end of its box, softer the other way. Without what is optional, from all or half of the
     strength, nothing is left, with the values that made the data.
