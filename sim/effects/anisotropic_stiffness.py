@@ -41,6 +41,7 @@ EFFECT = register(
             anisotropic_stiffness,
             strengths=("relative", "twist"),
             throughout=True,
+            spatial=True,
         ),
     )
 )

@@ -63,6 +63,7 @@ EFFECT = register(
             bending_torsion_coupling,
             further=_further,
             strengths=("coupling", "squared_prad"),
+            spatial=True,
         ),
     )
 )

@@ -15,7 +15,7 @@ def force_bias(g: Any, p: Any):
 
 
 def _bias(name: str, unit: str) -> EffectParameter:
-    return EffectParameter(name, unit, lambda s: -s.force, lambda s: s.force)
+    return EffectParameter(name, unit, lambda s: -s.force, lambda s: s.force, aside="_y_" in name)
 
 
 #: Share of the open gripper's reading that is an offset of its recording, as of a sensor that is tared before each.

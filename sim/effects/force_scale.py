@@ -39,7 +39,9 @@ def effort_scale(g: Any, p: Any):
 
 
 _SCALE = EffectParameter("scale", "1", 0.5, 2.0, 1.0, "log")
-_OF_AXES = tuple(EffectParameter(f"relative_{axis}", "1", 0.4, 2.5, 1.0, "log", optional=True) for axis in "yz")
+_OF_AXES = tuple(
+    EffectParameter(f"relative_{axis}", "1", 0.4, 2.5, 1.0, "log", optional=True, aside=axis == "y") for axis in "yz"
+)
 #: How much more a sensor that is still cold reads than a warm one, as a logarithm, and how long it warms.
 _WARMING = (
     EffectParameter("cold", "1", -0.9, 0.9, optional=True),

@@ -34,7 +34,8 @@ def overloaded(j: Any, p: Any, r: Any):
 
 
 def _turning(name: str) -> EffectParameter:
-    return EffectParameter(name, "N", lambda s: -s.force, lambda s: s.force, optional=True)
+    aside = name == "across_N"
+    return EffectParameter(name, "N", lambda s: -s.force, lambda s: s.force, optional=True, aside=aside)
 
 
 EFFECT = register(
@@ -55,7 +56,7 @@ EFFECT = register(
             "force",
             (
                 EffectParameter("mass_kg", "kg", lambda s: -s.force / s.gravity, lambda s: s.force / s.gravity),
-                EffectParameter("tared", "1", 0.0, 2.0, 1.0, tries=2),
+                EffectParameter("tared", "1", 0.0, 2.0, tries=2, optional=True),
                 _turning("ahead_N"),
                 _turning("across_N"),
                 EffectParameter("overload", "1", -0.75, 0.75, optional=True),

@@ -98,6 +98,7 @@ class EffectParameter:
             it: it is neutral where nothing was.
         becomes_from: How far up the box, as a share of it on its own scale, the law is as good as the one that it
             becomes, where that one explains as much.
+        aside: Whether it is along y, where a planar case has nothing: no search of one moves it.
     """
 
     name: str
@@ -116,6 +117,7 @@ class EffectParameter:
     below: str = ""
     becomes_from: float = 1.0
     read_off: bool = False
+    aside: bool = False
 
 
 #: Share of the twist that a law at a ball joint sees, and of the torque about it that it gives.
@@ -193,6 +195,7 @@ class Law:
         follows: Whether the torque at a joint follows its angle at rest, by the stiffness that the law returns.
         alike: Names of effects that are the same in principle: a limit of this law, or what it is a limit of.
         throughout: Whether wood has it along a whole branch, so that every joint may have its own.
+        spatial: Whether a planar case shows nothing of it: what bends in one plane has one stiffness, and no twist.
     """
 
     kind: Kind
@@ -214,6 +217,7 @@ class Law:
     follows: bool = False
     alike: tuple[str, ...] = ()
     throughout: bool = False
+    spatial: bool = False
 
     @property
     def lasting(self) -> bool:

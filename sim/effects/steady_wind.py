@@ -70,6 +70,7 @@ EFFECT = register(
                         lambda s: -3.0 * s.force / s.area,
                         lambda s: 3.0 * s.force / s.area,
                         plausible=(-STORM, STORM),
+                        aside=c == "y",
                     )
                     for c in "xyz"
                 ),

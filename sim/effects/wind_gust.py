@@ -45,7 +45,7 @@ def wind_gust(b: Any, p: Any):
 
 def _pressure(name: str) -> EffectParameter:
     ends = [lambda s: -2.0 * s.force / s.area, lambda s: 2.0 * s.force / s.area]
-    return EffectParameter(name, "Pa", *ends, plausible=(-STORM, STORM))
+    return EffectParameter(name, "Pa", *ends, plausible=(-STORM, STORM), aside="_y_" in name)
 
 
 EFFECT = register(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import compress, product
 from typing import Literal
 
 import numpy as np
@@ -82,7 +82,8 @@ def _possible(effect: Effect, case: BranchCase | JointCase) -> bool:
     if isinstance(case, BranchCase):
         law = effect.branch
         movable = case.trunk_pivot_below_base is not None
-        return law is not None and (law.kind != "base_compliance" or movable)
+        shown = law is not None and not (case.planar and law.spatial)
+        return shown and (law.kind != "base_compliance" or movable)
     law = effect.joint
     if law is None or (fits_torque(case) and law.kind != "joint"):
         return False
@@ -108,16 +109,23 @@ def springs(case: BranchCase | JointCase) -> list[bool]:
 
 
 def everywhere(case: BranchCase | JointCase, names: Iterable[str]) -> tuple[Acting, ...]:
-    """Return every effect at every place where it can act, without what only a course read off can make it do."""
+    """Return every effect at every place where it can act, without what no search of such a case moves.
+
+    That is what only a course read off can make it do, and what is along y in a planar case.
+    """
     form: Literal["branch", "joint"] = "branch" if isinstance(case, BranchCase) else "joint"
     sprung = springs(case)
     out: list[Acting] = []
     for name in names:
         law = effect_of(name).law(form)
         joints = [j for j, spring in enumerate(sprung) if spring or not needs_spring(law)]
-        off = {p.name: p.neutral for p in law.parameters if p.read_off}
+        off = {p.name: p.neutral for p in law.parameters if p.read_off or (p.aside and _planar(case))}
         out += [Acting(name, j, off) for j in joints] if law.per_joint else [Acting(name, None, off)]
     return tuple(out)
+
+
+def _planar(case: BranchCase | JointCase) -> bool:
+    return isinstance(case, BranchCase) and case.planar
 
 
 def probes_of(index: int, candidate: Candidate, parameters: Sequence[Parameter], setting: Setting) -> list[Probe]:
@@ -135,8 +143,15 @@ def probes_of(index: int, candidate: Candidate, parameters: Sequence[Parameter],
         [s.neutral] if on else grid(s, p, setting)
         for s, p, on in zip(candidate.specs, parameters, through, strict=True)
     ]
-    further = candidate.law.further(setting) if candidate.law.further else ()
+    further = _further(candidate, setting)
     return [Probe(index, values, moved) for values in (*product(*grids), *further)]
+
+
+def _further(candidate: Candidate, setting: Setting) -> list[tuple[float, ...]]:
+    """Return the values of a candidate's parameters, without known ones, at which a search looks besides."""
+    kept = [p.name not in candidate.acting.known for p in candidate.law.parameters]
+    every = candidate.law.further(setting) if candidate.law.further else ()
+    return list(dict.fromkeys(tuple(compress(values, kept)) for values in every))
 
 
 def passes_neutral(spec: EffectParameter, parameter: Parameter) -> bool:

@@ -9,12 +9,17 @@ from bough.learn.cases.case import load_case
 from bough.learn.gap.diagnose import find_missing
 from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.candidates import everywhere, names_for, needs_spring, springs
+from bough.learn.gap.models.contest import Contest, activated
+from bough.learn.gap.models.scan import all_probes
 from bough.learn.gap.run import Run
 from bough.learn.gap.usable import one_way, plant_numbers, rests_elsewhere, too_few
 from bough.learn.gap.where import locate, replicate_scatter, swing_of
 from bough.learn.replay.recording import recordings
 from bough.learn.runs.threads import one_thread
+from bough.sim.base.errors import InputError
 from bough.sim.effects import effects
+from oracles.branch_case import make_branch_case
+from oracles.case_files import make_planar
 from oracles.effect_case import simulate, stick_case, swing_case
 
 HANGING = {"type": "revolute", "inertia": 1.0, "stiffness": 0.0, "damping": None,
@@ -43,6 +48,33 @@ def swings(count, square, *, rate=50.0, decay=0.05, noise=1e-3, size=0.02):
     t = np.arange(count) / rate
     clean = size * np.exp(-decay * t) * np.cos(np.sqrt(square - decay**2) * t)
     return clean + noise * size * np.random.default_rng(int(square)).standard_normal(count)
+
+
+def test_a_planar_case_has_nothing_aside(tmp_path):
+    """Leave what is along y, and laws that bend or twist out of the plane, out of a planar case; the rest is seen.
+
+    A force across the plane was charged to an offset, and bent its branch to second order; of laws of the force and of
+    the wind each parameter that stays changes the motion in the plane.
+    """
+    make_branch_case(tmp_path / "solid", 4, segments=1, samples=40, dt=1e-3)
+    make_planar(tmp_path / "solid", tmp_path / "flat")
+    solid, case = load_case(tmp_path / "solid"), load_case(tmp_path / "flat")
+    with pytest.raises(InputError, match="an effect that this case cannot show"):
+        names_for(case, ("anisotropic_stiffness",))
+    assert set(names_for(solid)) - set(names_for(case)) == {"anisotropic_stiffness", "bending_torsion_coupling"}
+    names = ("force_bias", "steady_wind", "gravity_comp_error", "force_scale", "grasp_slip")
+    contest = Contest(case, recordings(case)[:2], np.full(6, 0.003), names)
+    whole = {p.name for p in Contest(solid, recordings(solid)[:2], np.full(6, 0.003), names).parameters}
+    gone = {"force_bias force_y_N", "steady_wind pressure_y_Pa", "force_scale relative_y"}
+    gone.add("gravity_comp_error across_N")
+    assert whole - {p.name for p in contest.parameters} == gone
+    assert all(len(p.values) == len(contest.candidates[p.candidate].columns) for p in all_probes(contest))
+    batch = activated(contest, contest.base_batch(3), [[c] for c in range(3)])
+    batch.free[:, contest.num_base :] += 0.1 * contest.reach[contest.num_base :]
+    _, derivative, columns = contest.linearise(batch)
+    seen = (derivative[..., [0, 2, 3, 5]] ** 2).sum((2, 3, 4)) > 0.0
+    needed = [k for c in contest.candidates for k, own in zip(c.columns, c.specs, strict=True) if not own.optional]
+    assert all(bool(seen[columns == k].all()) for k in needed)
 
 
 def test_few_samples_cannot_support_a_verdict(tmp_path):
