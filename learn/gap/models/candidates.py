@@ -82,8 +82,9 @@ def _possible(effect: Effect, case: BranchCase | JointCase) -> bool:
     if isinstance(case, BranchCase):
         law = effect.branch
         movable = case.trunk_pivot_below_base is not None
-        shown = law is not None and not (case.planar and law.spatial)
-        return shown and (law.kind != "base_compliance" or movable)
+        if law is None or (case.planar and law.spatial):
+            return False
+        return law.kind != "base_compliance" or movable
     law = effect.joint
     if law is None or (fits_torque(case) and law.kind != "joint"):
         return False
