@@ -201,8 +201,8 @@ def _misread(contest: Contest, model: Model, candidate: Candidate) -> bool:
     if candidate.name != "force_bias" or not isinstance(contest.case, BranchCase):
         return False
     read = np.stack([r.opened for r in contest.recordings])
-    *offset, share = _values(contest, model, candidate).values()
-    beside = np.array(offset) + (share - 1.0) * read
+    own = _values(contest, model, candidate)
+    beside = np.array([own.get(f"force_{c}_N", 0.0) for c in "xyz"]) + (own["opened"] - 1.0) * read
     return 0.0 < MISREAD * float(np.linalg.norm(read)) < float(np.linalg.norm(beside))
 
 

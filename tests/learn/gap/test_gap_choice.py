@@ -381,19 +381,21 @@ def test_a_spring_that_softens_far_from_rest_is_a_softer_one(off, left, turned):
     ("offset", "read", "left", "turned"),
     [([0.0, 0.02, 0.04, 0.0], 0.066, 1050.0, True), ([0.0, 0.02, 0.04, 0.0], 0.066, 1200.0, False),
      ([0.0, 0.01, 0.06, 0.0], 0.066, 1050.0, False), ([0.0, 0.0, 0.01, 1.0], 0.066, 1050.0, False),
-     ([0.0, 0.02, 0.04, 0.0], 0.0, 1050.0, False)],
+     ([0.0, 0.02, 0.04, 0.0], 0.0, 1050.0, False), ([0.0, 0.04, 0.0], 0.066, 1050.0, True)],
 )  # fmt: skip
 def test_an_offset_that_an_open_gripper_does_not_read_is_a_weight(offset, read, left, turned):
     """Take a tool's weight that explains as much where the offset is another than the open gripper's by a third.
 
-    What is read of an open gripper may be most of the offset; and where nothing is, it says nothing.
+    What is read of an open gripper may be most of the offset; and where nothing is, it says nothing. A planar case has
+    no offset along y.
     """
     plain = EffectParameter("mass_kg", "kg", 0.0, 1.0)
     fitted = turning({"force_bias": plain, "gravity_comp_error": plain}, (None, None), (1030.0, left), 0.5)
     contest = fitted.contest
     contest.case = BranchCase.__new__(BranchCase)
     contest.recordings = [SimpleNamespace(opened=np.array([0.0, 0.0, read]))]
-    contest.candidates[0] = Candidate(Acting("force_bias"), (0, 1, 2, 3), effect_of("force_bias").branch)
+    acting = Acting("force_bias", known={} if len(offset) == 4 else {"force_y_N": 0.0})
+    contest.candidates[0] = Candidate(acting, tuple(range(len(offset))), effect_of("force_bias").branch)
     contest.values = lambda batch: torch.tensor([offset])
     biased, other = fitted.models
     assert _turned_into(fitted, biased) is (other if turned else biased)
