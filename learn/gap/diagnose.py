@@ -15,9 +15,6 @@ from ..runs.threads import one_thread
 from .decide import Decision, decide
 from .diagnosis import Diagnosis, Settings
 from .evidence import bootstrap_test
-from .gusts.answers import GUST
-from .gusts.read_off import gusts_in
-from .gusts.sway import sways
 from .models.candidates import names_for
 from .models.fitted import FittedModels, Model
 from .models.idle import lean
@@ -69,7 +66,7 @@ def _judged(choice: Choice, run: Run) -> Diagnosis:
                 decision = replace(decision, further=unclaimed(models, decision.final, run.progress))
             run.progress("evidence", 1)
             ranking = rank(models, decision)  # all models; the leading ones where they were not fitted
-            gusts = blown(base, searched, decision, run)  # a branch that sways untouched: what blows is read off it
+            gusts = blown(searched, decision, run)  # a branch that sways untouched: what blows is read off it
             if gusts is not None:
                 base, searched, decision = gusts
                 ranking = ahead(searched.fitted, decision.model, ranking)
@@ -85,26 +82,17 @@ def _judged(choice: Choice, run: Run) -> Diagnosis:
     return replace(found, fit=choice.stated)
 
 
-def blown(base: Base, searched: Searched, decision: Decision, run: Run) -> tuple[Base, Searched, Decision] | None:
-    """Return a branch with gusts of any course and these named, where nothing else is and it sways; else None.
-
-    The case is prepared anew: a search takes for noise what differs from repeat to repeat, and gusts do.
-    """
-    contest = base.contest
-    possible = isinstance(contest.case, BranchCase) and GUST in contest.names and not base.unusable
-    if decision.verdict != "unknown" or not possible or not sways(contest):
-        return None
-    fresh = prepare(contest.case, replace(run, settings=replace(run.settings, effects=(GUST,))))
-    with run.timed("fits"):
-        found = gusts_in(fresh.contest, fresh.fit)
+def blown(searched: Searched, decision: Decision, run: Run) -> tuple[Base, Searched, Decision] | None:
+    """Return a branch with gusts of any course and these named, where they are all or nothing else is; else None."""
+    found = searched.gusts() if searched.blown or decision.verdict == "unknown" else None
     if found is None:
         return None
-    own, fits = found
+    own, fits, contest = found.contest, found.fits, searched.fitted.contest
     plain, model = Model((), fits.one(0), settled=True), Model((0,), fits.one(1), settled=True)
     acting = own.candidates[0].acting
     named = Decision("effects", plain, model, model, (acting,), {acting.label: ()})
-    blowing = replace(fresh, contest=own, fit=plain.fit)
-    run.keep.earlier += contest.world_steps + fresh.contest.world_steps  # from now on those of the new one are counted
+    blowing = replace(found.base, contest=own, fit=plain.fit)
+    run.keep.earlier += contest.world_steps + found.base.contest.world_steps  # from now on the new one's are counted
     return blowing, Searched(FittedModels(own, plain, [model]), searched.p_value), named
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache
 
 import torch
 
@@ -12,9 +13,12 @@ from ..cases.case import BranchCase
 from ..replay.input_noise import Colour
 from .evidence import ALARM, Evidence, bootstrap_test, lacks_fit, retested
 from .geometry import in_doubt
+from .gusts.answers import GUST
+from .gusts.read_off import EXPLAINED, gusts_in
+from .gusts.sway import sways
 from .models.at_rest import Noise, noise_of_neighbours, noise_of_repeats
 from .models.contest import Batch, Contest
-from .models.fitted import FittedModels, Model, overdispersion, penalty
+from .models.fitted import QUIET, FittedModels, Model, overdispersion, penalty
 from .models.idle import spare
 from .models.levels import (
     LEADERS,
@@ -35,7 +39,7 @@ from .models.nested import close, fitted_again, rebased
 from .models.nuisance import Nuisances
 from .models.refit import Fits, evaluated
 from .models.widespread import widespread
-from .prepare import Base, answer_as, settle
+from .prepare import Base, answer_as, prepare, settle
 from .run import Run
 
 #: Steps of a refit after the noise model has changed.
@@ -47,6 +51,21 @@ ROUNDS, FALSE = 2, 0.02
 MOVED = 1.0
 
 
+@dataclass(frozen=True)
+class Blown:
+    """A branch with gusts of any course.
+
+    Attributes:
+        base: The case prepared anew: a search takes for noise what differs from repeat to repeat, and gusts do.
+        contest: Of recordings along the courses that were read off.
+        fits: Base and gusts fitted to it, a batch of two.
+    """
+
+    base: Base
+    contest: Contest
+    fits: Fits
+
+
 @dataclass
 class Searched:
     """Result of a search.
@@ -54,10 +73,14 @@ class Searched:
     Attributes:
         fitted: All models that were fitted.
         p_value: Family-wise p-value of the best candidate under the base model.
+        gusts: Reads gusts off the recordings; None where there are none. It does so once.
+        blown: Whether gusts left so little that no second effect was searched for.
     """
 
     fitted: FittedModels
     p_value: float
+    gusts: Callable[[], Blown | None] = lambda: None
+    blown: bool = False
 
 
 def nothing_searched(base: Base) -> Searched:
@@ -71,9 +94,10 @@ def search(base: Base, evidence: Evidence, run: Run) -> Searched:
     A right model with the right geometry leaves noise. Geometry that is off leaves what no effect explains; only then
     is it uncertain, since it can imitate small effects, such as a few grams at the tip. Saves a checkpoint.
     """
-    searched = _searched(base, evidence, run)
-    if _doubted(base, searched.fitted, run):
-        searched = _searched(base, bootstrap_test(base, run), run)
+    gusts = cache(lambda: _gusts(base, run))
+    searched = _searched(base, evidence, run, gusts)
+    if not searched.blown and _doubted(base, searched.fitted, run):
+        searched = _searched(base, bootstrap_test(base, run), run, gusts)
     _save(base, searched, run)
     return searched
 
@@ -89,8 +113,27 @@ def _doubted(base: Base, fitted: FittedModels, run: Run) -> bool:
     return base.doubted
 
 
-def _searched(base: Base, evidence: Evidence, run: Run) -> Searched:
-    """Fit the candidates and, if an effect is missing, further ones beside the best.
+def _gusts(base: Base, run: Run) -> Blown | None:
+    """Return a branch with the gusts that are read off its recordings; None where it does not sway or has none."""
+    case, names = base.contest.case, base.contest.names
+    if not isinstance(case, BranchCase) or GUST not in names or not sways(base.contest):
+        return None
+    fresh = prepare(case, replace(run, settings=replace(run.settings, effects=(GUST,))))
+    with run.timed("fits"):
+        found = gusts_in(fresh.contest, fresh.fit)
+    return None if found is None else Blown(fresh, *found)
+
+
+def _blown(fitted: FittedModels, gusts: Callable[[], Blown | None]) -> bool:
+    """Return whether gusts leave noise alone where no law by itself explains as much as gusts must."""
+    best = min(fitted.of_size(1), key=lambda m: m.chi2, default=fitted.base)
+    if not fitted.needs_more(best) or fitted.explained(best) > EXPLAINED or (found := gusts()) is None:
+        return False
+    return float(found.fits.chi2[1]) <= QUIET * found.contest.num_samples
+
+
+def _searched(base: Base, evidence: Evidence, run: Run, gusts: Callable[[], Blown | None]) -> Searched:
+    """Fit the candidates and, if an effect is missing, further ones beside the best, unless gusts are all that is.
 
     No model leaves more than one that it contains, see `models.nested`, and the p-value is that of a base which no
     candidate's springs improve.
@@ -110,11 +153,13 @@ def _searched(base: Base, evidence: Evidence, run: Run) -> Searched:
         fitted = _recoloured(base, fitted)
     if base.noise is not known:
         evidence = bootstrap_test(base, run)
+    lacks = evidence.p_value <= ALARM or lacks_fit(fitted, run.settings.tolerance * base.motion)
+    blown = lacks and _blown(fitted, gusts)
     with run.timed("fits"):
-        if evidence.p_value <= ALARM or lacks_fit(fitted, run.settings.tolerance * base.motion):
+        if lacks and not blown:
             _add_effects(fitted, run)
     evidence = _closed(base, fitted, evidence, run)
-    return Searched(fitted, evidence.p_value)
+    return Searched(fitted, evidence.p_value, gusts, blown)
 
 
 def _first_level(base: Base, evidence: Evidence, run: Run) -> tuple[FittedModels, Evidence]:
@@ -241,7 +286,8 @@ def _save(base: Base, searched: Searched, run: Run) -> None:
     noise = {"sigma": contest.sigma, "overdispersion": contest.overdispersion}
     noise["nuisance"] = {f.name: getattr(contest.nuisance, f.name) for f in fields(Nuisances)}
     noise["colour"] = None if contest.colour is None else vars(contest.colour)
-    run.keep.save("search", {"models": models, "p_value": searched.p_value, "doubted": base.doubted, **noise})
+    told = {"p_value": searched.p_value, "blown": searched.blown, "doubted": base.doubted}
+    run.keep.save("search", {"models": models, **told, **noise})
 
 
 def restored(base: Base, run: Run) -> Searched | None:
@@ -259,4 +305,5 @@ def restored(base: Base, run: Run) -> Searched | None:
                     m["idle"])
               for m in state["models"]]  # fmt: skip
     base.fit = models[0].fit
-    return Searched(FittedModels(contest, models[0], models[1:]), state["p_value"])
+    fitted = FittedModels(contest, models[0], models[1:])
+    return Searched(fitted, state["p_value"], cache(lambda: _gusts(base, run)), state["blown"])
