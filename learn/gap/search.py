@@ -140,15 +140,7 @@ def _searched(base: Base, evidence: Evidence, run: Run, gusts: Callable[[], Blow
     """
     fitted, evidence = _first_level(base, evidence, run)
     with run.timed("fits"):
-        fitted_again(fitted, 1)
-        fitted.models += moved(fitted.contest, fitted.of_size(1)[:LEADERS])
-        fitted.models += taken_for(fitted, 1)
-        fitted.models += mirrored(fitted.contest, fitted.of_size(1)[:LEADERS])
-        if fitted.needs_more(fitted.best):
-            fitted.models += led_whole(fitted.contest)
-            fitted.models += at_other_moments(fitted.contest, fitted.of_size(1)[:LEADERS])
-            fitted.models += in_plain_form(fitted.contest, fitted.of_size(1)[:LEADERS])
-        _begin_leaders_again(fitted, 1)
+        _begin_elsewhere(fitted)
         known = base.noise
         fitted = _recoloured(base, fitted)
     if base.noise is not known:
@@ -180,6 +172,20 @@ def _first_level(base: Base, evidence: Evidence, run: Run) -> tuple[FittedModels
         if fallen <= FALSE * before:
             break
     return FittedModels(base.contest, Model((), base.fit), models), evidence
+
+
+def _begin_elsewhere(fitted: FittedModels) -> None:
+    """Begin single laws again wherever another start may leave less than the scan's."""
+    contest = fitted.contest
+    fitted_again(fitted, 1)
+    fitted.models += moved(contest, fitted.of_size(1)[:LEADERS])
+    fitted.models += taken_for(fitted, 1)
+    fitted.models += mirrored(contest, fitted.of_size(1)[:LEADERS])
+    if fitted.needs_more(fitted.best):
+        fitted.models += led_whole(contest)
+        fitted.models += at_other_moments(contest, fitted.of_size(1)[:LEADERS])
+        fitted.models += in_plain_form(contest, fitted.of_size(1)[:LEADERS])
+    _begin_leaders_again(fitted, 1)
 
 
 def _closed(base: Base, fitted: FittedModels, evidence: Evidence, run: Run) -> Evidence:
