@@ -112,7 +112,9 @@ def blows_open(contest: Contest) -> bool:
         blown.append(r.course[len(r.course) - len(r.t) :])
     every = np.concatenate(blown)
     squares = ((every - every.mean(0)) ** 2).sum(1)
-    return held.all() or not held.any() or bool(squares[~held].mean() > BLOWS_OPEN * squares[held].mean())
+    if held.all() or not held.any():
+        return True
+    return bool(squares[~held].mean() > BLOWS_OPEN * squares[held].mean())
 
 
 def explains(contest: Contest, fits: Fits) -> bool:
