@@ -144,8 +144,7 @@ def probes_of(index: int, candidate: Candidate, parameters: Sequence[Parameter],
         [s.neutral] if on else grid(s, p, setting)
         for s, p, on in zip(candidate.specs, parameters, through, strict=True)
     ]
-    further = _further(candidate, setting)
-    return [Probe(index, values, moved) for values in (*product(*grids), *further)]
+    return [Probe(index, values, moved) for values in (*product(*grids), *_further(candidate, setting))]
 
 
 def _further(candidate: Candidate, setting: Setting) -> list[tuple[float, ...]]:
