@@ -74,7 +74,7 @@ class Searched:
         fitted: All models that were fitted.
         p_value: Family-wise p-value of the best candidate under the base model.
         gusts: Reads gusts off the recordings; None where there are none. It does so once.
-        blown: Whether gusts left so little that no second effect was searched for.
+        blown: Whether gusts left so little that no further effects were searched for.
     """
 
     fitted: FittedModels
@@ -125,8 +125,8 @@ def _gusts(base: Base, run: Run) -> Blown | None:
 
 
 def _blown(fitted: FittedModels, gusts: Callable[[], Blown | None]) -> bool:
-    """Return whether gusts leave noise alone where no law by itself explains as much as gusts must."""
-    best = min(fitted.of_size(1), key=lambda m: m.chi2, default=fitted.base)
+    """Return whether gusts leave noise alone where no model so far explains as much as gusts must."""
+    best = fitted.best
     if not fitted.needs_more(best) or fitted.explained(best) > EXPLAINED or (found := gusts()) is None:
         return False
     return float(found.fits.chi2[1]) <= QUIET * found.contest.num_samples
@@ -146,10 +146,7 @@ def _searched(base: Base, evidence: Evidence, run: Run, gusts: Callable[[], Blow
     if base.noise is not known:
         evidence = bootstrap_test(base, run)
     lacks = evidence.p_value <= ALARM or lacks_fit(fitted, run.settings.tolerance * base.motion)
-    blown = lacks and _blown(fitted, gusts)
-    with run.timed("fits"):
-        if lacks and not blown:
-            _add_effects(fitted, run)
+    blown = lacks and _add_effects(fitted, run, gusts)
     evidence = _closed(base, fitted, evidence, run)
     return Searched(fitted, evidence.p_value, gusts, blown)
 
@@ -247,28 +244,42 @@ def _surprise(contest: Contest, model: Model) -> float:
     return chi2 / scale + contest.num_samples * math.log(scale) + 2.0 * volume + penalty(contest, model.members)
 
 
-def _add_effects(fitted: FittedModels, run: Run) -> None:
+def _add_effects(fitted: FittedModels, run: Run, gusts: Callable[[], Blown | None]) -> bool:
     """Add a second effect to the leading models, and further ones, while these leave more than noise.
 
-    What still does may be one law at more joints than effects are named together.
+    What still does may be one law at more joints than effects are named together. Return whether gusts are all instead:
+    two laws of which each says what it does cost less than a course that may be anything, so that these come first.
     """
     for count in range(2, run.settings.max_effects + 1):
         leaders = fitted.of_size(count - 1)[:LEADERS]
         if not leaders or not fitted.needs_more(leaders[0]):
             break
         fitted.contest.overdispersion = fitted.overdispersion
-        further = next_level(fitted.contest, leaders, run.progress)
-        fitted.models += further + reduced(fitted.contest, further[:2]) + mirrored(fitted.contest, further[:2])
-        fitted_again(fitted, count, every=True)
-        _begin_leaders_again(fitted, count)
-        fitted.models += taken_for(fitted, count)
-        _begin_leaders_again(fitted, count)
+        with run.timed("fits"):
+            further = next_level(fitted.contest, leaders, run.progress)
+            fitted.models += further
+        if _blown(fitted, gusts):
+            return True
+        with run.timed("fits"):
+            _settle_level(fitted, further, count)
+    with run.timed("fits"):
         if fitted.needs_more(fitted.best):
-            fitted.models += at_other_moments(fitted.contest, fitted.of_size(count)[:1])
-        leader = fitted.of_size(count)[:1]
-        fitted.models += reduced(fitted.contest, leader) + mirrored(fitted.contest, leader)
+            fitted.models += widespread(fitted, run.settings.max_effects)
+    return False
+
+
+def _settle_level(fitted: FittedModels, further: Sequence[Model], count: int) -> None:
+    """Begin models of so many effects again wherever another start may leave less: those that were fitted first."""
+    contest = fitted.contest
+    fitted.models += reduced(contest, further[:2]) + mirrored(contest, further[:2])
+    fitted_again(fitted, count, every=True)
+    _begin_leaders_again(fitted, count)
+    fitted.models += taken_for(fitted, count)
+    _begin_leaders_again(fitted, count)
     if fitted.needs_more(fitted.best):
-        fitted.models += widespread(fitted, run.settings.max_effects)
+        fitted.models += at_other_moments(contest, fitted.of_size(count)[:1])
+    leader = fitted.of_size(count)[:1]
+    fitted.models += reduced(contest, leader) + mirrored(contest, leader)
 
 
 def _begin_leaders_again(fitted: FittedModels, size: int) -> None:

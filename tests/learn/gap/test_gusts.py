@@ -157,12 +157,12 @@ def test_what_waits_for_the_gripper_is_no_wind(branch):
 def test_hidden_turbulence_is_named(tmp_path, monkeypatch):
     """Name gusts that C MuJoCo blew on a branch of finer links, leave little, and replay the file to the last digit.
 
-    No second effect is searched for beside what leaves noise alone; a run that is gone on with finds the same.
+    Beside what leaves noise alone no pair is begun again; a run that is gone on with finds the same.
     """
     hidden = {"effects": ("wind_gust",), "forms": {"wind_gust": "dryden"}, "size": 0.3}
     hide(tmp_path / "case", **hidden, seed=4, segments=2, noise=0.03)
     case = load_case(tmp_path / "case")
-    monkeypatch.setattr(search, "_add_effects", lambda fitted, run: pytest.fail("a second effect is searched for"))
+    monkeypatch.setattr(search, "_settle_level", lambda fitted, further, count: pytest.fail("a pair is begun again"))
     keep = Checkpoint(tmp_path / "kept", "gusty")
     keep.open(False)
     run = Run(Settings(("wind_gust", "dry_friction"), particles=0), keep)
