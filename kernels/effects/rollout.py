@@ -160,6 +160,7 @@ def counted_from(e: int, at: Slots, fx: Any, start: Any, calm: Any, along: Any):
 def followed(e: int, row: int, is_first: bool, fx: Any, x: Any, slow: Any, dt: Any):
     """Return what a tracker of first order reads of x: T y' = x - y, y = x at first, x linear between samples.
 
+    Where T is not above zero that is x, else
     y = x - (1 - a) T x' + a (y - x at the last sample), a = exp(-u), u = dt / T, to 0.012 (`growth`).
     A ramp is late by T whatever a is.
     """
@@ -173,6 +174,7 @@ def followed(e: int, row: int, is_first: bool, fx: Any, x: Any, slow: Any, dt: A
     gone = x - fx.memory[e, k]
     late = fx.memory[e, k + 1] - fx.memory[e, k]
     y = x - gone * ((one - a) * t / dt) + late * a
+    y = type(x)(where_neg(o - slow, y.x, x.x), where_neg(o - slow, y.y, x.y), where_neg(o - slow, y.z, x.z))
     if is_first:
         y = x
     fx.memory[e, k] = x

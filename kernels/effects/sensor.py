@@ -97,19 +97,29 @@ def closed_at(
 
 
 @wp.func
+def lags(e: int, fx: Any, delay: int, like: Any):
+    """Below zero in the lanes whose sensor is late or slow, else 0: a group shares the law, not its lag."""
+    late = fx.parameter[e, delay * PARAMETERS * fx.stride]
+    slow = fx.parameter[e, (delay * PARAMETERS + 1) * fx.stride]
+    o = real(0.0, like)
+    return where_neg(late, late, o - late) + where_neg(slow, slow, o - slow)
+
+
+@wp.func
 def drawn(
     e: int, fx: Any, delay: int, input_in: wp.array3d(dtype=wp.float64), now: Moment, n: int, c: int, sensed: int,
     ends: int, rate: wp.float64, lead: Any,
 ):  # fmt: skip
     """Recorded value of column c in the middle of a step, of ``rate`` samples a second.
 
-    Where the sensor lags it is that of column ``sensed``, `shifted`.
+    Where the sensor lags it is that of column ``sensed``, `shifted`; not in worlds beside whose own sensor does not.
     """
     value = real(between(input_in, now, c), lead)
     if is_on(e, delay, fx):
         late = fx.parameter[e, delay * PARAMETERS * fx.stride] * real(rate, lead)
-        value = shifted(input_in, now.recording, now.sample, n, sensed, fx.lag[e, 0], fx.lag[e, 1], ends,
+        moved = shifted(input_in, now.recording, now.sample, n, sensed, fx.lag[e, 0], fx.lag[e, 1], ends,
                         share_of(now), late, lead)  # fmt: skip
+        value = where_neg(lags(e, fx, delay, lead), moved, value)
     return value
 
 
@@ -132,7 +142,8 @@ def holding(e: int, fx: Any, delay: int, input_in: wp.array3d(dtype=wp.float64),
     if is_on(e, delay, fx):
         if input_in[now.recording, 0, TOGETHER] > wp.float64(0.0):
             late = fx.parameter[e, delay * PARAMETERS * fx.stride] * real(rate, like)
-            held = closed_at(input_in, now.recording, now.sample, n, fx.lag[e, 0], fx.lag[e, 1], share_of(now), late)
+            seen = closed_at(input_in, now.recording, now.sample, n, fx.lag[e, 0], fx.lag[e, 1], share_of(now), late)
+            held = where_neg(lags(e, fx, delay, like), seen, held)
     return held
 
 

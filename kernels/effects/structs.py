@@ -128,7 +128,7 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
 
     @wp.struct
     class Effects:
-        """Arrays of a replay's effects, those of `midway.Midway` among them."""
+        """Arrays of a replay's effects, those of `midway.Midway` among them; ``bent``: where a law at a joint acts."""
 
         parameter: wp.array2d(dtype=Real)
         memory: wp.array2d(dtype=Vec)
@@ -142,6 +142,7 @@ def effect_types(width: int = 1, precision: int = 32) -> SimpleNamespace:
         gain: wp.array2d(dtype=Vec)
         ahead: wp.array2d(dtype=Quat)
         active: wp.array2d(dtype=int)
+        bent: wp.array2d(dtype=int)
         area: wp.array2d(dtype=Real)
         centre: wp.array2d(dtype=Vec)
         end: wp.array2d(dtype=Vec)

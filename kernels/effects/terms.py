@@ -20,8 +20,8 @@ ones it is built with; the plain step (`articulated`) knows nothing of them.
 ``p`` holds up to ten parameters, ``p.a`` to ``p.j``, in the order in which the effect lists them. A ball joint's angle
 is its rotation vector from rest and its rate the angular velocity, both in the link's frame; other joints use x alone.
 
-Worlds of a group whose parameters of a term are all neutral skip it (``active``), so that a kernel with every law in it
-costs a group little more than the laws it uses.
+Worlds of a group whose parameters of a term are all neutral skip it (``active``), and joints at which no law acts are
+not asked (``bent``), so that a kernel with every law in it costs a group little more than the laws it uses.
 
 Damping that a law reports is implicit in the step, so that a law as steep as dry friction at rest stays stable. A ball
 joint's stiffness beyond its own spring brings the least damper that an explicit spring needs there (half a step times
@@ -55,9 +55,9 @@ from .structs import PARAMETERS, effect_types
 
 __all__ = ["GROUPS", "Present", "Term", "step_of"]
 
-#: What follows the terms in ``active``: whether any term of a kind is on, any damage, any law that holds a branch off
+#: What follows the terms in ``active``: whether any term at links is on, any damage, any law that holds a branch off
 #: its rest, any law that has acted before a recording begins, any load to rest under, and any crown that feels the air.
-GROUPS = ("joint", "link", "lasting", "holding", "preceding", "resting", "crowned")
+GROUPS = ("link", "lasting", "holding", "preceding", "resting", "crowned")
 
 #: Least damper of a ball joint over its stiffness, in steps.
 LEAST_DAMPER = wp.constant(wp.float64(0.6))
@@ -76,7 +76,8 @@ CALM = wp.constant(2)
 class Present:
     """Where ``active`` tells of laws at joints and at links, and the slot of `tip_mass`; -1 for what is not built in.
 
-    They are constants of a kernel: the compiler leaves out what a kernel is built without.
+    A replay has ``bent`` for laws at joints, and of ``joint`` only whether it is built in. They are constants of a
+    kernel: the compiler leaves out what a kernel is built without.
     """
 
     joint: int
@@ -444,26 +445,27 @@ def act(
         o = real(0.0, v.x)
         zero = type(v)(o, o, o)
         total = u.effort[e, i]
-        if at.tip >= 0:
+        if is_on(e, at.tip, fx):
             total = total + held_at(e, i, m, x, fx.hold[e, i])
         stiffness = m.stiffness[e, i]
         damping = fx.damping[e, i]
         back = stiffness
         steep = stiffness
-        if is_on(e, at.joint, fx):
-            r = strain(e, i, m, x, u.effort[e, i], fx, lapse, real(time, o))
-            total = total + r.torque
-            damping = effective_damping(m.kind[e, i], damping, stiffness, r.stiffness, r.damping, h)
-            back = stiffness + r.follows
-            steep = stiffness + where_neg(r.stiffness, o, r.stiffness)
+        if at.joint >= 0:
+            if fx.bent[e, i] == 1:
+                r = strain(e, i, m, x, u.effort[e, i], fx, lapse, real(time, o))
+                total = total + r.torque
+                damping = effective_damping(m.kind[e, i], damping, stiffness, r.stiffness, r.damping, h)
+                back = stiffness + r.follows
+                steep = stiffness + where_neg(r.stiffness, o, r.stiffness)
         if still != MOVING:
             damping = back * real(h * wp.float64(1.25), o)
         m.damping[e, i] = damping
         fx.effort[e, i] = total + damper_midway(e, i, m, fx, damping, fx.damping[e, i], steep, h)
-        if at.link >= 0:
+        if is_on(e, at.link, fx):
             fx.wind[e, i] = zero
             fx.swirl[e, i] = zero
-            if fx.active[e, at.link] == 1 and still != CALM:
+            if still != CALM:
                 blown = strips(e, row, i, m, fx, s, real(time, o))
                 fx.wind[e, i] = blown.force
                 fx.swirl[e, i] = blown.moment
@@ -479,7 +481,7 @@ def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float6
         mass = m.mass[e, i]
         pose = s.pose[row, i]
         mc = rotate(pose, m.com[e, i]) * mass
-        if at.tip >= 0:
+        if is_on(e, at.tip, fx):
             if i == fx.tip:
                 extra = fx.parameter[e, at.tip * PARAMETERS * fx.stride]
                 arm = rotate(pose, mass_at(e, i, 0, at.tip, fx, mc))
@@ -490,7 +492,7 @@ def fold(e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float6
         pushed = u.force[e, i]
         f = own_force(row, i, s, mass, mc) - pushed
         n0 = add_cross(own_moment(row, i, s, A, mc), pushed, rotate(pose, u.point[e, i]))
-        if at.link >= 0:
+        if is_on(e, at.link, fx):
             f = f - fx.wind[e, i]
             n0 = n0 - fx.swirl[e, i]
         fold_link(e, row, i, m, x, s, h, A, B, mass, n0, f, fx.effort[e, i])
@@ -503,8 +505,8 @@ def step_of(width: int, precision: int, terms: tuple[Term, ...]) -> SimpleNamesp
     key = f"{width}_{precision}_" + "_".join(term.name for term in terms)
     joint, force = laws_of("joint", terms, t, key), laws_of("force", terms, t, key)
     strain, strips = strain_of(joint, t, key), strips_of(terms, t, key, len(terms) + GROUPS.index("crowned"))
-    at_joint, at_link = (group_place(terms, kind) for kind in ("joint", "link"))
-    tip = slot_of(terms, "tip_mass")
+    at_joint = 0 if any(acts(term, "joint") for term in terms) else -1
+    at_link, tip = group_place(terms, "link"), slot_of(terms, "tip_mass")
 
     def advance(
         e: int, row: int, m: Any, x: Any, u: Any, fx: Any, s: Any, h: wp.float64, time: wp.float64, bound: wp.float64,

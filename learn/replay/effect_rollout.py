@@ -60,9 +60,10 @@ class EffectArrays:
             setattr(self.kernel, name, self.arrays[name].kernel)
         self.kernel.stride = stride
         self.kernel.active = wp.zeros((m.groups, count + len(GROUPS)), dtype=int, device=m.device)
+        self.kernel.bent = wp.zeros((m.groups, stride), dtype=int, device=m.device)
         self.kernel.lag = wp.zeros((m.groups, 2), dtype=int, device=m.device)
-        neutral = torch.tensor(acting.neutral()).repeat_interleave(stride)
-        self.arrays[FIELD].torch[..., 0] = neutral.to(self.arrays[FIELD].torch)
+        self._neutral = torch.tensor(acting.neutral()).repeat_interleave(stride).to(self.arrays[FIELD].torch)
+        self.arrays[FIELD].torch[..., 0] = self._neutral
         self._tip(rollout)
         self._areas(rollout)
 
@@ -109,13 +110,25 @@ class EffectArrays:
         marks = acting.marks(columns)
         rollout.place_marks(self.arrays["settle"], marks)
         on, terms = acting.switched_on(columns), self.terms
-        of_kind = ([acts(x, "joint") for x in terms], [acts(x, "link") for x in terms], [x.lasting for x in terms],
-                   [x.holds is not None for x in terms], [x.precedes for x in terms])  # fmt: skip
+        of_kind = ([acts(x, "link") for x in terms], [x.lasting for x in terms], [x.holds is not None for x in terms],
+                   [x.precedes for x in terms])  # fmt: skip
         kinds = [(on & torch.tensor(k, device=on.device)).any(1, keepdim=True) for k in of_kind]
         sets = torch.cat([on, *kinds, marks[:, None] != 0.0, acting.changes("crown", columns)[:, None]], 1)
         groups = sets.view(rollout.blocks, rollout.model.width, -1).any(1)
         active = wp.to_torch(self.kernel.active).view(-1, *groups.shape)
         active.copy_(groups.expand_as(active))
+        self._bend(rollout)
+
+    def _bend(self, rollout: ReplayWorlds) -> None:
+        """Mark the joints at which a law of a group's worlds acts: where a parameter of one is not neutral."""
+        own = self.arrays[FIELD].torch.unflatten(0, (rollout.chains, rollout.blocks))[0, ..., 0]
+        changed = (own != self._neutral).unflatten(-1, (len(self.terms), PARAMETERS, -1)).any(3).any(1)
+        at_joint = torch.tensor([acts(term, "joint") for term in self.terms], device=own.device)
+        own_joint = torch.tensor([term.per_joint for term in self.terms], device=own.device)
+        everywhere = changed[:, at_joint & ~own_joint, 0].any(1, keepdim=True)
+        groups = changed[:, at_joint & own_joint].any(1) | everywhere
+        bent = wp.to_torch(self.kernel.bent).view(-1, *groups.shape)
+        bent.copy_(groups.expand_as(bent))
 
     def _lags(self, rollout: ReplayWorlds, columns: torch.Tensor) -> None:
         """Note by how many samples the sensors of each group's worlds are late, at least and at most."""

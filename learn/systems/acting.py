@@ -166,6 +166,13 @@ class ActingSet:
         counts = columns.new_zeros(len(columns), len(self.names), dtype=torch.long)
         return counts.index_add_(1, of, self._changed(columns).long()) > 0
 
+    def bent(self, columns: torch.Tensor) -> torch.Tensor:
+        """Return whether an effect of one joint has a parameter that is not neutral there, [sets, joints]."""
+        own = [n for n, entry in enumerate(self.entries) if entry.joint is not None]
+        of = torch.tensor([self.entries[n].joint or 0 for n in own], dtype=torch.long, device=columns.device)
+        counts = columns.new_zeros(len(columns), len(self.settings), dtype=torch.long)
+        return counts.index_add_(1, of, self._changed(columns)[:, own].long()) > 0
+
     def changes(self, parameter: str, columns: torch.Tensor) -> torch.Tensor:
         """Return whether some effect's parameter of a name is not neutral, [sets]."""
         own = [n for n, entry in enumerate(self.entries) if entry.spec.name == parameter]

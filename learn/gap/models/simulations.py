@@ -25,8 +25,8 @@ JOINTED = "base_compliance"
 class Simulations:
     """Simulates sets of parameters in launches of a few sizes.
 
-    A group of lanes computes a law where one of its sets has it, so sets with the same laws stand side by side. Sets
-    whose trunk does not give way are branches without the trunk's joint.
+    A group of lanes computes a law at a joint where one of its sets has it, so sets with the same laws at the same
+    joints stand side by side. Sets whose trunk does not give way are branches without the trunk's joint.
 
     Args:
         case: The case.
@@ -74,8 +74,9 @@ class Simulations:
     def __call__(self, values: torch.Tensor, start: torch.Tensor) -> torch.Tensor:
         """Return the channels [S, R, T, C] of parameter values [S, n] from start states [S, R, J, 2]."""
         acting = self.whole.system.acting
-        on = acting.switched_on(values[:, values.shape[1] - len(acting.parameters) :])
-        order = _side_by_side(on)
+        columns = values[:, values.shape[1] - len(acting.parameters) :]
+        on = acting.switched_on(columns)
+        order = _side_by_side(torch.cat([on, acting.bent(columns)], 1))
         jointed = on[order, acting.names.index(JOINTED)] if acting.has(JOINTED) else torch.ones_like(order).bool()
         precedes = torch.tensor([effect_of(n).law(acting.form).precedes for n in acting.names], device=on.device)
         waiting = (on[order] & precedes).any(1)  # a whole group of lanes waits for what acts before a recording begins
@@ -112,8 +113,8 @@ class Simulations:
 
 
 def _side_by_side(on: torch.Tensor) -> torch.Tensor:
-    """Return an order [S] in which sets with the same effects [S, names] stand side by side."""
-    code = (on.long() << torch.arange(on.shape[1], device=on.device)).sum(1)
+    """Return an order [S] in which sets with the same effects and joints [S, names + joints] stand side by side."""
+    code = torch.unique(on.to(torch.int8), dim=0, return_inverse=True)[1]
     return torch.argsort(code, stable=True)
 
 
