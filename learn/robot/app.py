@@ -64,12 +64,18 @@ class Hub:
 def make_app(service: Service) -> FastAPI:
     """Return the application of a service, whose clients are let in by `learn.robot.access.Access`."""
     app = FastAPI(title="bough robot", docs_url=None, redoc_url=None, openapi_url=None)
-    hub, names = Hub(), itertools.count(1)
-    service.listen(hub.tell)
 
     @app.exception_handler(HTTPException)
     async def _failed(_request: Request, error: HTTPException) -> JSONResponse:
         return JSONResponse({"error": error.detail}, error.status_code)
+
+    for add in (_add_state, _add_commands, _add_twin, _add_stream, _add_scene):
+        add(app, service)
+    return app
+
+
+def _add_state(app: FastAPI, service: Service) -> None:
+    """Add what tells how the arm and the service are."""
 
     @app.get("/fetch_kinova_metrics")
     async def _metrics() -> JSONResponse:
@@ -79,6 +85,10 @@ def make_app(service: Service) -> FastAPI:
     @app.get("/status")
     async def _status() -> JSONResponse:
         return JSONResponse(status_of(service))
+
+
+def _add_commands(app: FastAPI, service: Service) -> None:
+    """Add what moves, stops and arms."""
 
     @app.post("/set_dof_vel")
     async def _velocity(request: Request) -> JSONResponse:
@@ -106,6 +116,10 @@ def make_app(service: Service) -> FastAPI:
         reply = service.arm(message.stop)
         return JSONResponse({"message": "armed"}) if reply.accepted else _refused(reply)
 
+
+def _add_twin(app: FastAPI, service: Service) -> None:
+    """Add what a twin tells and does that no arm could."""
+
     @app.get("/twin/truth")
     async def _truth() -> Response:
         if service.twin is None:
@@ -127,6 +141,12 @@ def make_app(service: Service) -> FastAPI:
             return _error(400, str(error))
         return JSONResponse({"message": "a new scene"}) if reply.accepted else _refused(reply)
 
+
+def _add_stream(app: FastAPI, service: Service) -> None:
+    """Add the socket that tells every tick and hears velocities."""
+    hub, names = Hub(), itertools.count(1)
+    service.listen(hub.tell)
+
     @app.websocket("/stream")
     async def _stream(socket: WebSocket) -> None:
         event = hub.enter()
@@ -146,6 +166,10 @@ def make_app(service: Service) -> FastAPI:
             hub.leave(event)
             service.release(name)
 
+
+def _add_scene(app: FastAPI, service: Service) -> None:
+    """Add the socket of the twin's camera."""
+
     @app.websocket("/twin/scene")
     async def _scene(socket: WebSocket) -> None:
         if service.scene is None:
@@ -156,8 +180,6 @@ def make_app(service: Service) -> FastAPI:
             while True:  # one answer for every message, so that a slow camera delays itself alone
                 await socket.receive_text()
                 await socket.send_bytes(await asyncio.to_thread(service.scene))
-
-    return app
 
 
 def status_of(service: Service) -> dict[str, Any]:
