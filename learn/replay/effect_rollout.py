@@ -64,6 +64,9 @@ class EffectArrays:
         self.kernel.lag = wp.zeros((m.groups, 2), dtype=int, device=m.device)
         self._neutral = torch.tensor(acting.neutral()).repeat_interleave(stride).to(self.arrays[FIELD].torch)
         self.arrays[FIELD].torch[..., 0] = self._neutral
+        bending = [(acts(term, "joint"), term.per_joint) for term in self.terms]
+        self._at_one = torch.tensor([bends and own for bends, own in bending], device=self._neutral.device)
+        self._at_all = torch.tensor([bends and not own for bends, own in bending], device=self._neutral.device)
         self._tip(rollout)
         self._areas(rollout)
 
@@ -123,10 +126,7 @@ class EffectArrays:
         """Mark the joints at which a law of a group's worlds acts: where a parameter of one is not neutral."""
         own = self.arrays[FIELD].torch.unflatten(0, (rollout.chains, rollout.blocks))[0, ..., 0]
         changed = (own != self._neutral).unflatten(-1, (len(self.terms), PARAMETERS, -1)).any(3).any(1)
-        at_joint = torch.tensor([acts(term, "joint") for term in self.terms], device=own.device)
-        own_joint = torch.tensor([term.per_joint for term in self.terms], device=own.device)
-        everywhere = changed[:, at_joint & ~own_joint, 0].any(1, keepdim=True)
-        groups = changed[:, at_joint & own_joint].any(1) | everywhere
+        groups = changed[:, self._at_one].any(1) | changed[:, self._at_all, 0].any(1, keepdim=True)
         bent = wp.to_torch(self.kernel.bent).view(-1, *groups.shape)
         bent.copy_(groups.expand_as(bent))
 

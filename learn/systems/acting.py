@@ -162,16 +162,18 @@ class ActingSet:
 
     def switched_on(self, columns: torch.Tensor) -> torch.Tensor:
         """Return whether some parameter of each effect is not neutral, [sets, names]; a trunk's plane is a law."""
-        of = torch.tensor([self._switches(e) for e in self.entries], dtype=torch.long, device=columns.device)
-        counts = columns.new_zeros(len(columns), len(self.names), dtype=torch.long)
-        return counts.index_add_(1, of, self._changed(columns).long()) > 0
+        return self._some(columns, [self._switches(e) for e in self.entries], len(self.names))
 
     def bent(self, columns: torch.Tensor) -> torch.Tensor:
         """Return whether an effect of one joint has a parameter that is not neutral there, [sets, joints]."""
-        own = [n for n, entry in enumerate(self.entries) if entry.joint is not None]
-        of = torch.tensor([self.entries[n].joint or 0 for n in own], dtype=torch.long, device=columns.device)
-        counts = columns.new_zeros(len(columns), len(self.settings), dtype=torch.long)
-        return counts.index_add_(1, of, self._changed(columns)[:, own].long()) > 0
+        count = len(self.settings)
+        return self._some(columns, [count if e.joint is None else e.joint for e in self.entries], count + 1)[:, :count]
+
+    def _some(self, columns: torch.Tensor, of: Sequence[int], count: int) -> torch.Tensor:
+        """Return whether some entry of each of ``count`` kinds is not neutral, [sets, count]; ``of``: every entry's."""
+        kinds = torch.tensor(of, dtype=torch.long, device=columns.device)
+        counts = columns.new_zeros(len(columns), count, dtype=torch.long)
+        return counts.index_add_(1, kinds, self._changed(columns).long()) > 0
 
     def changes(self, parameter: str, columns: torch.Tensor) -> torch.Tensor:
         """Return whether some effect's parameter of a name is not neutral, [sets]."""
