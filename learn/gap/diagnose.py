@@ -25,7 +25,7 @@ from .record import record
 from .repaired import repair
 from .rivals import ahead, rank
 from .run import Progress, Run, silent
-from .search import Searched, nothing_searched, restored, search
+from .search import Blown, Searched, nothing_searched, restored, search
 from .steady import steadied
 from .where import locate, noise_seen
 
@@ -61,14 +61,13 @@ def _judged(choice: Choice, run: Run) -> Diagnosis:
         with run.timed("evidence"):
             decision = decide(base, searched, run.settings)  # none, effects by name, or unknown
             decision = steadied(base, searched, decision, run)  # joints: the same under another filter, rate or split
-            if decision.verdict == "effects":
-                decision = replace(decision, final=lean(models, decision.model))
-                decision = replace(decision, further=unclaimed(models, decision.final, run.progress))
+            gusts = searched.gusts() if searched.blown or decision.verdict == "unknown" else None
+            if gusts is None:
+                decision = _claimed(models, decision, run)
             run.progress("evidence", 1)
             ranking = rank(models, decision)  # all models; the leading ones where they were not fitted
-            gusts = blown(searched, decision, run)  # a branch that sways untouched: what blows is read off it
-            if gusts is not None:
-                base, searched, decision = gusts
+            if gusts is not None:  # a branch that sways untouched: what blows is read off it
+                base, searched, decision = _blown(searched, gusts, run)
                 ranking = ahead(searched.fitted, decision.model, ranking)
             models, contest = searched.fitted, base.contest
         repaired = repair(base, decision, run)  # one model that is fitted, inferred, written, and misses what it misses
@@ -82,11 +81,16 @@ def _judged(choice: Choice, run: Run) -> Diagnosis:
     return replace(found, fit=choice.stated)
 
 
-def blown(searched: Searched, decision: Decision, run: Run) -> tuple[Base, Searched, Decision] | None:
-    """Return a branch with gusts of any course and these named, where they are all or nothing else is; else None."""
-    found = searched.gusts() if searched.blown or decision.verdict == "unknown" else None
-    if found is None:
-        return None
+def _claimed(models: FittedModels, decision: Decision, run: Run) -> Decision:
+    """Return a decision whose named model holds what these data show, and what it does not claim beside it."""
+    if decision.verdict != "effects":
+        return decision
+    decision = replace(decision, final=lean(models, decision.model))
+    return replace(decision, further=unclaimed(models, decision.final, run.progress))
+
+
+def _blown(searched: Searched, found: Blown, run: Run) -> tuple[Base, Searched, Decision]:
+    """Return a branch with gusts of any course and these named: they are all that is, or nothing else is named."""
     own, fits, contest = found.contest, found.fits, searched.fitted.contest
     plain, model = Model((), fits.one(0), settled=True), Model((0,), fits.one(1), settled=True)
     acting = own.candidates[0].acting

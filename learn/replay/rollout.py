@@ -94,7 +94,7 @@ class Rollout(ReplayWorlds):
             points[j, :, :, places[-1]] = local.to(points.dtype)
         return wp.array(places, dtype=int, device=self.device)
 
-    def _write(self, field: str, place: int, component: int, values: torch.Tensor) -> None:
+    def _write(self, field: str, place: int | list[int], component: int, values: torch.Tensor) -> None:
         array = self.effects.arrays[FIELD] if self.effects and field == FIELD else self.model.arrays[field]
         target = array.torch.unflatten(0, (self.chains, self.blocks))
         target[:, :, :, place, component] = values
@@ -148,8 +148,8 @@ class Rollout(ReplayWorlds):
         at_sample = torch.stack([ahead - half * (rate + 0.5 * half * gained), rate, gained], -1)
         return at_sample.flatten(-2)[..., self._select]
 
-    def _blocked(self, field: str, place: int, component: int, values: torch.Tensor) -> None:
-        self._write(field, place, component, values.view(self.blocks, self.model.width))
+    def _blocked(self, field: str, place: int | list[int], component: int, values: torch.Tensor) -> None:
+        self._write(field, place, component, values.unflatten(0, (self.blocks, self.model.width)))
 
     def _padded(self, values: torch.Tensor) -> torch.Tensor:
         extra = self.blocks * self.model.width - self.num_sets

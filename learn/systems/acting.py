@@ -97,6 +97,16 @@ class ActingSet:
                 if known is None:
                     found.append(parameter_of(a, spec, setting))
         self.parameters = tuple(found)
+        self._note_entries()
+
+    def _note_entries(self) -> None:
+        """Note what calls of every step of a fit ask of the entries, one number each."""
+        self._unknown = [n for n, e in enumerate(self.entries) if e.known is None]
+        self._known = [0.0 if e.known is None else e.known for e in self.entries]
+        self._neutral = [e.spec.neutral for e in self.entries]
+        self._rests = [self._rest_of(e) for e in self.entries]
+        self._switches = [self._switch_of(e) for e in self.entries]
+        self._joints = [len(self.settings) if e.joint is None else e.joint for e in self.entries]
 
     def _check(self, a: Acting, joints: int, source: str) -> None:
         law = self.laws[a.name]
@@ -134,40 +144,39 @@ class ActingSet:
                 out[PARAMETERS * n + k] = spec.neutral
         return out
 
-    def values(self, columns: torch.Tensor) -> list[torch.Tensor]:
-        """Return the value [sets] of every entry from the unknowns' columns [sets, n]."""
-        unknown = iter(columns.unbind(1))
-        ones = columns.new_ones(len(columns))
-        return [next(unknown) if e.known is None else ones * e.known for e in self.entries]
+    def values(self, columns: torch.Tensor) -> torch.Tensor:
+        """Return the values of all entries [sets, entries] from the unknowns' columns [sets, n]."""
+        out = columns.new_tensor(self._known).repeat(len(columns), 1)
+        out[:, self._unknown] = columns
+        return out
 
     def write(self, columns: torch.Tensor, model: Model, write: Write, links: Sequence[int]) -> None:
         """Write the unknowns [sets, n] and what is known; ``links`` holds the link that each joint moves."""
-        stride = model.places + 1
-        for entry, value in zip(self.entries, self.values(columns), strict=True):
-            at = 0 if entry.joint is None else int(model.link_place[links[entry.joint]])
-            write(FIELD, entry.place * stride + at, 0, value)
+        stride, place = model.places + 1, [int(model.link_place[n]) for n in links]
+        at = [stride * e.place + (0 if e.joint is None else place[e.joint]) for e in self.entries]
+        if at:
+            write(FIELD, at, 0, self.values(columns))
 
     def marks(self, columns: torch.Tensor) -> torch.Tensor:
         """Return 2 for every set that rests under a load, 1 for one that rests where a memory left it, else 0, [sets].
 
         The others rest in the given pose.
         """
-        rests = torch.tensor([self._rests(entry) for entry in self.entries])
-        return (self._changed(columns) * rests.to(columns)).amax(1)
+        return (self._changed(columns) * columns.new_tensor(self._rests)).amax(1)
 
-    def _rests(self, entry: Entry) -> int:
+    def _rest_of(self, entry: Entry) -> int:
         """Return how a branch rests elsewhere where an entry is not neutral: a load, or the share of what remembers."""
         law = self.laws[self.names[entry.place // PARAMETERS]]
         return 2 if entry.spec.name in law.settles else int(law.lasting and entry.place % PARAMETERS == 0)
 
     def switched_on(self, columns: torch.Tensor) -> torch.Tensor:
         """Return whether some parameter of each effect is not neutral, [sets, names]; a trunk's plane is a law."""
-        return self._some(columns, [self._switches(e) for e in self.entries], len(self.names))
+        return self._some(columns, self._switches, len(self.names))
 
     def bent(self, columns: torch.Tensor) -> torch.Tensor:
         """Return whether an effect of one joint has a parameter that is not neutral there, [sets, joints]."""
         count = len(self.settings)
-        return self._some(columns, [count if e.joint is None else e.joint for e in self.entries], count + 1)[:, :count]
+        return self._some(columns, self._joints, count + 1)[:, :count]
 
     def _some(self, columns: torch.Tensor, of: Sequence[int], count: int) -> torch.Tensor:
         """Return whether some entry of each of ``count`` kinds is not neutral, [sets, count]; ``of``: every entry's."""
@@ -180,17 +189,14 @@ class ActingSet:
         own = [n for n, entry in enumerate(self.entries) if entry.spec.name == parameter]
         return self._changed(columns)[:, own].any(1)
 
-    def _switches(self, entry: Entry) -> int:
+    def _switch_of(self, entry: Entry) -> int:
         """Return the place among the names of the law that an entry switches on."""
         own = self.names[entry.place // PARAMETERS]
         return self.names.index(TRUNK_BENDS if (own, entry.spec.name) == ("base_compliance", "relative") else own)
 
     def _changed(self, columns: torch.Tensor) -> torch.Tensor:
         """Return which entries are not neutral, [sets, entries]."""
-        neutral = columns.new_tensor([e.spec.neutral for e in self.entries])
-        values = columns.new_tensor([e.known or 0.0 for e in self.entries]).repeat(len(columns), 1)
-        values[:, [n for n, e in enumerate(self.entries) if e.known is None]] = columns
-        return values != neutral
+        return self.values(columns) != columns.new_tensor(self._neutral)
 
     def place(self, name: str, parameter: str) -> int:
         """Return where a parameter's row of joints begins in the array, in units of its stride."""
@@ -200,8 +206,8 @@ class ActingSet:
     def value(self, name: str, parameter: str, columns: torch.Tensor) -> torch.Tensor:
         """Return a parameter of an effect that acts once, [sets]."""
         row = self.place(name, parameter)
-        found = [v for e, v in zip(self.entries, self.values(columns), strict=True) if e.place == row]
-        return found[0]
+        own = next(n for n, e in enumerate(self.entries) if e.place == row)
+        return self.values(columns)[:, own]
 
 
 def _ordered(acting: Sequence[Acting], source: str) -> list[Effect]:

@@ -58,10 +58,10 @@ class Parameter:
 
 
 class Write(Protocol):
-    """Writes values [sets] of one field entry into the worlds of all sets: (field, place, component, values)."""
+    """Writes a component of a field into the worlds of all sets: (field, place or places, component, values)."""
 
-    def __call__(self, field: str, place: int, component: int, values: torch.Tensor) -> None:
-        """Write."""
+    def __call__(self, field: str, place: int | list[int], component: int, values: torch.Tensor) -> None:
+        """Write values [sets] at a place, [sets, places] at several."""
 
 
 class System(Protocol):

@@ -38,7 +38,7 @@ def written(system: BranchSystem, rows: np.ndarray) -> Model:
     """Return a float64 model, one world a row of parameter values [W, n], with the unknowns written into it."""
     model = Model([system.tree] * len(rows), gravity=system.gravity, precision=64)
 
-    def write(field: str, place: int, component: int, values: torch.Tensor) -> None:
+    def write(field: str, place: int | list[int], component: int, values: torch.Tensor) -> None:
         model.arrays[field].torch[:, 0, place, component] = values
 
     system.write(torch.as_tensor(rows), model, write)
