@@ -137,6 +137,11 @@ def _finite(d: Diagnosis) -> str | None:
     return f"{' and '.join(lost)} could not be computed, a simulation diverged" if lost else None
 
 
+def _not_nested(d: Diagnosis) -> str | None:
+    """No model leaves more than one that it contains: one that does was not fitted to its end, nor can it be judged."""
+    return None if d.nested else "a model leaves more than one that is part of it, so that their fits did not end"
+
+
 def _none_but_large(d: Diagnosis) -> str | None:
     """Nothing is missing: then the p-value is above the alarm, or the effect is smaller than the tolerance or noise."""
     if d.verdict != "none" or d.p_null > ALARM or d.size < d.settings.tolerance:
@@ -256,7 +261,7 @@ def _named_without_numbers(d: Diagnosis) -> str | None:
 
 
 RULES: tuple[Rule, ...] = (
-    _none_but_large, _none_but_far, _none_but_askew, _named_but_insignificant, _named_but_no_better,
+    _not_nested, _none_but_large, _none_but_far, _none_but_askew, _named_but_insignificant, _named_but_no_better,
     _named_but_hardly_better, _named_but_askew, _named_but_nothing_explained, _named_without_numbers,
 )  # fmt: skip
 

@@ -241,7 +241,8 @@ def pays(fitted: FittedModels, model: Model, inner: Model) -> bool:
 
     Of what it gains where it is fitted it must keep the share `KEPT` there, and in no experiment may it do harm: a law
     that stands in for another pays for one kind of push with another. The experiment in which something breaks is not
-    left out. True where nothing can be left out: joints, and branches with replicates of one experiment alone.
+    left out. True where nothing can be left out: branches with replicates of one experiment alone, and joints, whose
+    recordings left out have no start state of their own; `steady` asks every other recording for the name there.
     """
     contest, groups = fitted.contest, profiles(fitted.contest)
     if not isinstance(contest.case, BranchCase) or len(groups) < 2:

@@ -210,6 +210,7 @@ class Diagnosis:
         unstable: What changes the verdict, such as ``a filter of 25 Hz names backlash``; empty if nothing does.
         may_be_off: For ``unknown`` the labels of tried effects whose interval reaches where they do nothing.
         stretched: For ``unknown`` the labels of those that go as far as their boxes allow, see `decide.at_an_end`.
+        nested: Whether no model that was fitted leaves more than one that it contains, see `models.nested`.
     """
 
     case: BranchCase | JointCase
@@ -252,6 +253,7 @@ class Diagnosis:
     stretched: tuple[str, ...] = ()
     geometry: Geometry = field(default_factory=Geometry)
     ahead: bool = False
+    nested: bool = True
 
     @property
     def held_out(self) -> bool:
@@ -282,7 +284,7 @@ class Diagnosis:
             "explained": finite(self.explained), "not_understood": list(self.not_understood),
             "remarks": list(self.remarks), "implausible": list(self.implausible), "fit": self.fit,
             "unstable": list(self.unstable), "may_be_off": list(self.may_be_off),
-            "stretched": list(self.stretched),
+            "stretched": list(self.stretched), "nested": self.nested,
         }  # fmt: skip
 
 

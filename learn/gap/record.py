@@ -70,7 +70,7 @@ def record(
         swing=swing_of(case, recordings, gap.test or range(len(recordings))),
         scatter=replicate_scatter(case, recordings), remarks=remarks,
         unstable=decision.unstable, may_be_off=decision.may_be_off, stretched=decision.stretched,
-        geometry=beside, ahead=ahead,
+        geometry=beside, ahead=ahead, nested=not fitted.broken(),
     ))  # fmt: skip
 
 

@@ -25,6 +25,7 @@ from bough.learn.gap.models.refit import Fits, bounded, evaluated, fit
 from bough.learn.gap.models.scan import Basis, Scan, score_probes
 from bough.learn.gap.next_probe import _precision, best_probe, narrowing, recordings_of
 from bough.learn.gap.run import Run
+from bough.learn.gap.search import Searched
 from bough.learn.gap.usable import too_noisy
 from bough.learn.hidden import hide
 from bough.learn.replay.probes import PROBES
@@ -303,6 +304,19 @@ def test_of_names_that_tie_one_that_is_on_for_certain_leads(monkeypatch):
     assert decide._borne_out(apart, apart.models[0]).members == (0,)
     off.add((2,))
     assert decide._borne_out(tied, tied.models[0]).members == (0,)
+
+
+def test_a_single_name_that_may_as_well_be_off_is_taken_back(monkeypatch):
+    """Claim one effect that explains all but noise; unknown where its interval touches neutral, and say which it is."""
+    off = []
+    monkeypatch.setattr(decide, "doubtful", lambda *_: tuple(off))
+    monkeypatch.setattr(decide, "at_an_end", lambda *_: ())
+    monkeypatch.setattr(decide, "size", lambda *_: 1.0)
+    fitted = field_of({(0,): 1001})
+    base, searched = SimpleNamespace(unusable=None, motion=30.0), Searched(fitted, 1e-9)
+    assert decide._verdict(base, searched, fitted.models[0], 0.0055) == ("effects", ())
+    off.append(0)
+    assert decide._verdict(base, searched, fitted.models[0], 0.0055) == ("unknown", (0,))
 
 
 def test_a_further_effect_as_weak_as_can_be_is_not_named(monkeypatch):

@@ -260,6 +260,16 @@ def test_what_is_said_of_each_kind(cases, numbers, verdict, words) -> None:
     assert found.verdict_file()["not_understood"] == list(found.not_understood)
 
 
+@pytest.mark.parametrize("numbers", [PLAIN, NAMED])
+def test_a_model_that_leaves_more_than_a_part_of_it_gives_no_verdict(numbers) -> None:
+    """Judge nothing by fits that did not end, and say so in words and in the file."""
+    sound = made(CASES, numbers)
+    found = consistent(replace(sound, nested=False))
+    assert found.verdict == "unknown" and found.effects == ()
+    assert "leaves more than one that is part of it" in found.sentence
+    assert not found.verdict_file()["nested"] and consistent(sound).verdict_file()["nested"]
+
+
 @pytest.mark.parametrize(("repaired", "verdict"), [(0.03, "effects"), (0.0314, "effects"), (0.0330, "unknown")])
 def test_wrong_geometry_excuses_an_error_that_stays_and_none_that_grows(repaired, verdict):
     """Keep a name that predicts better beside the nuisances while the model as written is no worse by a twentieth."""

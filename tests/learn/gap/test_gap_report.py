@@ -15,7 +15,7 @@ import pytest
 from bough.learn.gap import figures
 from bough.learn.gap.consistent import readable
 from bough.learn.gap.diagnosis import Diagnosis, Gap, Interval, Rival, Settings, Share
-from bough.learn.gap.report import bare, write_diagnosis
+from bough.learn.gap.report import bare, content, write_diagnosis
 from bough.learn.gap.where import grasp_response, joint_torque, locate, noise_seen, parts_of, phases, regime
 from bough.learn.replay.recording import recordings
 from bough.learn.systems.acting import Acting
@@ -268,6 +268,31 @@ def test_first_screen_says_what_to_do(written) -> None:
         assert part in first["effects"] and part not in first["none"] and part not in first["unknown"]
     assert "plastic_set, which is not claimed" in first["unknown"]
     assert "Nearest candidate" not in first["none"] + first["effects"]
+
+
+def test_a_parameter_at_its_bound_is_called_so(tmp_path: Path) -> None:
+    """Say at which end of its box a parameter is, on the page and in the file, and nothing of one that is inside."""
+    made = diagnosis(tmp_path / "stick", "effects")
+    mass = {"mass_kg": replace(made.parameters["tip_mass"]["mass_kg"], at_bound="high")}
+    made = replace(made, parameters=made.parameters | {"tip_mass": mass})
+    said = {k.label: k.explanation for k in content(made, drawn=False).numbers}
+    assert "0.0590, at the high end of its box" in said["tip_mass mass"]
+    assert "end of its box" not in said["dry_friction@0 torque"]
+    found = {e["name"]: e["parameters"] for e in made.verdict_file()["effects"]}
+    assert found["tip_mass"]["mass_kg"]["at_bound"] == "high"
+    assert found["dry_friction"]["torque_Nm"]["at_bound"] is None
+
+
+@pytest.mark.parametrize("other", ["torque", "replay", ""])
+def test_the_other_way_to_fit_is_offered(tmp_path: Path, other: str) -> None:
+    """Say on the page of joints which way was taken and why, and give the command of the other where there is one."""
+    fit = {"method": "replay", "reason": "errors live for 2 s", "other": other}
+    shown = content(replace(diagnosis(tmp_path / "stick", "effects"), fit=fit), drawn=False)
+    told = next(k for k in shown.numbers if k.label == "Fitted")
+    assert told.value == "replay" and told.explanation.startswith("errors live for 2 s.")
+    assert (f"The other way: --fit {other}." in told.explanation) == bool(other)
+    commands = [command for command, _ in shown.commands]
+    assert any(f"--fit {other} " in c for c in commands) if other else not any("--fit" in c for c in commands)
 
 
 def test_joints_are_drawn_against_their_motion(tmp_path: Path) -> None:

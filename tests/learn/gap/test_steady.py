@@ -3,9 +3,11 @@
 from types import SimpleNamespace
 
 import pytest
-from bough.learn.gap.decide import alike
+from bough.learn.gap import steady
+from bough.learn.gap.decide import Decision, alike
 from bough.learn.gap.models.fitted import FittedModels, Model
-from bough.learn.gap.steady import shows_less, with_akin
+from bough.learn.gap.search import Searched
+from bough.learn.gap.steady import Variant, shows_less, steadied, with_akin
 from bough.learn.systems.acting import Acting
 from bough.sim.effects import EffectParameter
 
@@ -61,3 +63,51 @@ def test_a_set_takes_a_loop_s_place_at_its_own_joint_alone():
     loop = Acting("hysteresis_boucwen", 0)
     assert alike(loop, Acting("plastic_set", 0)) and alike(Acting("plastic_set", 0), loop)
     assert not any(alike(loop, a) for a in (Acting("plastic_set", 1), Acting("quadratic_drag", 0), loop))
+
+
+# ---- a name that another treatment takes back ------------------------------------------------------------------------
+
+LAWS = (Acting("dry_friction", 0), Acting("quadratic_drag", 0))
+
+
+def of_joints(*left):
+    """Return models of one law each at joints that leave ``left`` of a base's 9000."""
+    candidates = [SimpleNamespace(name=a.name, acting=a, columns=(), specs=()) for a in LAWS]
+    contest = SimpleNamespace(num_samples=SAMPLES, candidates=candidates, case=SimpleNamespace(trajectories=(0, 1)))
+    return FittedModels(contest, model(9000.0), [model(chi2, k) for k, chi2 in enumerate(left)])
+
+
+def judged(fitted, verdict, *members):
+    """Return a decision for the model with these members; none of them where nothing is missing."""
+    own = next((m for m in fitted.models if m.members == members), fitted.base)
+    named = tuple(LAWS[k] for k in members) if verdict == "effects" else ()
+    return Decision(verdict, fitted.base, own, own, named, {a.label: () for a in named})
+
+
+def treated(monkeypatch, verdict, members, variant, again):
+    """Return the decision of models that friction explains, once a treatment that ends in ``again`` has been tried."""
+    fitted = of_joints(1000.0, 8000.0)
+    what, recordings = variant
+    monkeypatch.setattr(steady, "variants", lambda case: [Variant(what, case, recordings)])
+    monkeypatch.setattr(steady, "_again", lambda *_: again)
+    base = SimpleNamespace(contest=fitted.contest)
+    return steadied(base, Searched(fitted, 1e-9), judged(fitted, verdict, *members), None)
+
+
+@pytest.mark.parametrize("variant", [("a rate of 50 Hz", (0, 1)), ("recording 2 alone", (1,))])
+def test_a_name_that_another_rate_or_a_part_takes_back_is_not_claimed(monkeypatch, variant):
+    """Keep friction where the treatment has it too; take it back where drag stands there, and say what gives that."""
+    same, other = of_joints(1000.0, 8000.0), of_joints(8000.0, 1000.0)
+    kept = treated(monkeypatch, "effects", (0,), variant, (judged(same, "effects", 0), same))
+    assert (kept.verdict, kept.named, kept.unstable) == ("effects", LAWS[:1], ())
+    gone = treated(monkeypatch, "effects", (0,), variant, (judged(other, "effects", 1), other))
+    assert (gone.verdict, gone.named, gone.unstable) == ("unknown", (), (f"{variant[0]} gives quadratic_drag",))
+
+
+def test_nothing_missing_is_unknown_where_another_treatment_names_something(monkeypatch):
+    """Keep `none` where half of the rate shows nothing either; abstain where it names a law beyond doubt."""
+    fitted, variant = of_joints(1000.0, 8000.0), ("a rate of 50 Hz", (0, 1))
+    kept = treated(monkeypatch, "none", (), variant, (judged(fitted, "none"), fitted))
+    assert (kept.verdict, kept.unstable) == ("none", ())
+    gone = treated(monkeypatch, "none", (), variant, (judged(fitted, "effects", 0), fitted))
+    assert (gone.verdict, gone.named, gone.unstable) == ("unknown", (), ("a rate of 50 Hz gives dry_friction",))
