@@ -47,6 +47,7 @@ class Diagnose:
 
     def run(self) -> int:
         """Diagnose the case and say what came out and where the report is."""
+        check_output(self.out)
         from ..learn.cases.arm import is_arm_case
         from ..learn.cases.case import load_case
         from ..learn.gap.diagnosis import Settings
@@ -107,7 +108,8 @@ class Exam:
 
     Attributes:
         out: Folder to write to.
-        cases: Number of cases: nothing hidden, one effect, two, or one that the registry does not have, 3 : 3 : 1 : 1.
+        cases: Number of cases, 10,000 at most: nothing hidden, one effect, two, or one that the registry does not have,
+            3 : 3 : 1 : 1.
         joints: Measured joints and mechanisms instead of branches: thirty laws, ten of them on no list.
         noise: Noise of a branch's displacement and velocity as a share of their rms, 0.03 if not given; the force has
             half of it.

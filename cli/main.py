@@ -1,7 +1,7 @@
 """The command line: flat commands over the rooms, one line on what was written where.
 
-Exit codes: 0 done; 1 the machine failed (a full disk); 2 bad input, one line on stderr; 3 done, but every world
-diverged or a sampler did not converge; 130 interrupted.
+Exit codes: 0 done; 1 the machine failed (a full disk, no memory left); 2 bad input, one line on stderr; 3 done, but
+every world diverged or a sampler did not converge; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -95,6 +95,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:  # what reading and writing did not foresee: a full disk, a folder closed to us
         print(f"bough: {error.filename or command.__class__.__name__.lower()}: {error.strerror}", file=sys.stderr)
         return ExitCode.BAD_INPUT if isinstance(error, PermissionError) else ExitCode.FAILED
+    except MemoryError:  # what no check of sizes foresaw
+        print(f"bough: {command.__class__.__name__.lower()}: more memory than is left", file=sys.stderr)
+        return ExitCode.FAILED
     except Exception as error:
         if not _comes_of_ctrl_c(error):
             raise

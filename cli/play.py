@@ -14,12 +14,17 @@ from ..learn.tasks.registry import TASKS, TaskRegistry, known_tasks
 from ..learn.tasks.task import require_rsl_rl, unseen_seed
 from ..sim.base.console import bar, shown, start_warp, tell
 from ..sim.base.errors import InputError, check_seed
-from ..sim.base.files import output_folder
+from ..sim.base.files import check_output, output_folder
 from .base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from ..learn.policies.evaluate import Policy
     from ..learn.tasks.task import Task
+
+#: Fewest pictures per simulated second: a GIF shows none for longer than eleven minutes.
+SLOWEST = 0.01
+#: Longest film [s]: a day, and no episode is longer.
+LONGEST = 86_400.0
 
 
 @dataclass(frozen=True)
@@ -35,7 +40,7 @@ class Play:
         task: Task of those that are no run; a run has its own.
         seed: Seed of the world; bough evaluate's first world of the first set is that of seed 0.
         seconds: Simulated time; the whole episode if not given.
-        fps: Pictures per simulated second; the film runs in real time.
+        fps: Pictures per simulated second, 0.01 to 50; the film runs in real time.
         film: gif, an animation, or png, numbered pictures.
         device: cpu, cuda or cuda:N; a GPU if there is one.
         json: Print the measures of the episode as JSON instead of a sentence.
@@ -69,9 +74,11 @@ class Play:
             episode = Episode(task, policy, steps=self._steps(task), every=every, progress=advance)
             name = write_film(work, episode, self.film, 1.0 / (every * task.step_seconds))
         seconds = episode.done * task.step_seconds
-        outcome = _outcome(episode.metrics) + _crowded(contacts_without_room(task))
+        crowded = contacts_without_room(task)
+        outcome = _outcome(episode.metrics) + _crowded(crowded)
         said = f"{task.name}, {self.policy}: {seconds:.1f} s, {outcome}, {episode.pictures} pictures."
-        result = {"out": str(self.out / name), "task": task.name, "seconds": seconds, "measures": episode.metrics}
+        result = {"out": str(self.out / name), "task": task.name, "seconds": seconds, "measures": episode.metrics,
+                  "contacts_without_room": crowded}  # fmt: skip
         tell(f"{said} Wrote {shown(self.out / name)}", result, self.json)
         return ExitCode.DONE
 
@@ -81,11 +88,12 @@ class Play:
 
     def _check(self) -> None:
         """Raise `InputError` for options that cannot be."""
-        if not 0.0 < self.fps <= 50.0:
-            raise InputError("play", "--fps", f"{self.fps:g}", "above 0, up to 50")
-        if self.seconds is not None and not self.seconds > 0.0:
-            raise InputError("play", "--seconds", f"{self.seconds:g}", "above 0")
+        if not SLOWEST <= self.fps <= 50.0:
+            raise InputError("play", "--fps", f"{self.fps:g}", f"{SLOWEST:g} to 50")
+        if self.seconds is not None and not 0.0 < self.seconds <= LONGEST:
+            raise InputError("play", "--seconds", f"{self.seconds:g}", f"above 0, up to {LONGEST:g}")
         check_seed("play", self.seed)
+        check_output(self.out)
 
     def _cast(self, registry: TaskRegistry) -> tuple[Task, Policy]:
         """Return the task with one world, and who acts in it."""

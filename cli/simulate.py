@@ -13,7 +13,7 @@ import tyro
 
 from ..sim.base.console import shown, start_warp, tell, warn
 from ..sim.base.errors import InputError, check_seed
-from ..sim.base.files import check_output, check_regular, output_folder, read_text
+from ..sim.base.files import check_output, output_folder, read_text
 from ..sim.engine.stepping import Stepping
 from ..sim.formats.load import load_mechanism
 from .base.exit_codes import ExitCode
@@ -291,17 +291,12 @@ def _text_rows(path: Path) -> list[tuple[str, list[float]]]:
 def _npy_rows(path: Path) -> list[tuple[str, list[float]]]:
     import numpy as np
 
+    from ..sim.base.archive import read_array
+
     allowed = "a NumPy array of real numbers, shape [nq] or [worlds, nq]"
-    try:
-        check_regular(path)
-        values: Any = np.load(path, mmap_mode="r", allow_pickle=False)  # mapped: a header may claim any size
-    except FileNotFoundError:
-        raise InputError(path, "", "no such file", "an existing file") from None
-    except (OSError, EOFError, ValueError) as error:
-        raise InputError(path, "", f"no array ({str(error).splitlines()[0]})", allowed) from None
-    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu" or values.ndim not in (1, 2):
-        kind = f"{values.dtype} of shape {values.shape}" if isinstance(values, np.ndarray) else "several arrays"
-        raise InputError(path, "", kind, allowed)
+    values = read_array(path, allowed)
+    if values.dtype.kind not in "fiu" or values.ndim not in (1, 2):
+        raise InputError(path, "", f"{values.dtype} of shape {values.shape}", allowed)
     return [(f"row {k}", row.tolist()) for k, row in enumerate(np.atleast_2d(values.astype(np.float64)))]
 
 

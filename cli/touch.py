@@ -79,6 +79,7 @@ class Fit:
 
     def run(self) -> int:
         """Fit, and say the noise."""
+        check_output(self.out)
         from ..learn.touch.read import read_recordings
         from ..learn.touch.sensor import fit_sensor
 

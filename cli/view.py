@@ -91,7 +91,7 @@ def scene_of(options: View) -> Build:
     path = options.path
     if not path.exists():
         raise InputError(path, "", "no such file or folder", _KINDS)
-    if path.is_file():
+    if not path.is_dir():
         return _file(options)
     names = {item.name for item in path.iterdir()}
     found = next((kind for name, kind in _FOLDERS.items() if name in names), None)
@@ -108,9 +108,9 @@ def _file(options: View) -> Build:
 
 
 def _is_posterior(path: Path) -> bool:
-    import zipfile
+    from ..sim.base.archive import array_names
 
-    return zipfile.is_zipfile(path) and "particles.npy" in zipfile.ZipFile(path).namelist()
+    return "particles" in array_names(path, "what bough simulate or bough identify writes")
 
 
 def _recorded(file: Path) -> Build:

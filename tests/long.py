@@ -125,7 +125,7 @@ LONG = {
     "learn/gap/test_gap_real.py::test_trees_yield_or_have_hysteresis[29]": _REAL,
     "learn/gap/test_gap_real.py::test_trees_yield_or_have_hysteresis[30]": _REAL,
     "learn/hidden/test_forms.py::test_every_form_is_visible": "57 cases; make test keeps every effect's plain form",
-    "learn/inference/test_coverage.py::test_replayed_joints_cover_the_truth": "forty posteriors; linear ones are kept",
+    "learn/inference/test_coverage.py::test_replayed_joints_cover_the_truth": "24 posteriors; linear ones are kept",
     "learn/inference/test_identify.py::test_same_seed_same_bits": "three posteriors; samplers' seeds are kept",
     "learn/priors/test_prior_learnt.py::test_weights_do_not_depend_on_the_number_of_threads": "learns a prior twice",
     "learn/robot/test_twin.py::test_a_hidden_effect_acts": _LAWS,

@@ -13,7 +13,6 @@ import csv
 import io
 import math
 import time
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -23,6 +22,7 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
+from ...sim.base.archive import read_array, read_arrays
 from ...sim.base.errors import InputError, shortened
 from ...sim.base.files import check_regular, read_text
 from ...sim.base.types import Array
@@ -154,26 +154,32 @@ def read_depth(path: Path) -> NDArray[np.float32]:
     Raises:
         InputError: It is no picture of depths.
     """
-    check_regular(path, LARGEST)
-    try:
-        if path.suffix == ".png":
-            with PIL.Image.open(path) as picture:
-                _check_size(path, picture.height, picture.width)
-                if picture.mode not in ("I;16", "I"):
-                    raise ValueError(f"a picture of mode {picture.mode}")
-                depth = np.asarray(picture, np.float32) / np.float32(1000.0)
-        else:
-            depth = _array(path)
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, PIL.Image.DecompressionBombError) as error:
-        raise InputError(path, "", shortened(str(error)), "depths as 16-bit PNG [mm], NPZ or NPY [m]") from None
+    depth = _picture(path) if path.suffix == ".png" else _array(path)
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0.0))
 
 
+_DEPTHS = "depths as 16-bit PNG [mm], NPZ or NPY [m]"
+
+
+def _picture(path: Path) -> NDArray[np.float32]:
+    check_regular(path, LARGEST)
+    try:
+        with PIL.Image.open(path) as picture:
+            _check_size(path, picture.height, picture.width)
+            if picture.mode not in ("I;16", "I"):
+                raise ValueError(f"a picture of mode {picture.mode}")
+            return np.asarray(picture, np.float32) / np.float32(1000.0)
+    except InputError:
+        raise
+    except (OSError, ValueError, PIL.Image.DecompressionBombError) as error:
+        raise InputError(path, "", shortened(str(error)), _DEPTHS) from None
+
+
 def _array(path: Path) -> NDArray[np.float32]:
-    loaded = np.load(path, allow_pickle=False)
-    depth = loaded["depth"] if path.suffix == ".npz" else loaded
+    packed = path.suffix == ".npz"
+    depth = read_arrays(path, _DEPTHS, ("depth",), LARGEST)["depth"] if packed else read_array(path, _DEPTHS, LARGEST)
     if depth.ndim != 2 or depth.dtype.kind != "f":
-        raise ValueError(f"numbers of type {depth.dtype} and shape {depth.shape}")
+        raise InputError(path, "", f"numbers of type {depth.dtype} and shape {depth.shape}", _DEPTHS)
     _check_size(path, *depth.shape)
     return depth.astype(np.float32)
 

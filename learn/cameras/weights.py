@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from pathlib import Path
 from typing import Any
 
 from ...sim.base.errors import InputError, shortened
 from ...sim.base.extras import install_hint
-from ...sim.base.files import read_text
+from ...sim.base.json_file import read_object
 
 KINDS = {"grounding-dino": "Grounding DINO", "sam_hq": "SAM-HQ", "sam2_video": "SAM 2 video"}
 """Models by the ``model_type`` of their config.json."""
@@ -32,7 +31,7 @@ def find_models(folder: Path) -> dict[str, Path]:
     out: dict[str, Path] = {}
     for path in sorted(folder.glob("*/config.json")):
         config = _config(path)
-        kind = config.get("model_type")
+        kind = str(config.get("model_type"))
         if kind not in KINDS:
             continue
         if kind in out:
@@ -50,11 +49,7 @@ def find_models(folder: Path) -> dict[str, Path]:
 
 
 def _config(path: Path) -> dict[str, Any]:
-    try:
-        config = json.loads(read_text(path))
-    except ValueError as error:
-        raise InputError(path, "", shortened(str(error)), "JSON") from None
-    return config if isinstance(config, dict) else {}
+    return read_object(path, "the configuration of a model")
 
 
 def digests(folder: Path) -> dict[str, str]:

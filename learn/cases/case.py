@@ -351,6 +351,7 @@ def _branch_trajectory(folder: Path, meta: BranchMeta, file: YamlFile, index: in
     quiet = _no_contact(read.t, item.no_contact, file, index)
     data, measured = _quantities(meta, read, quiet)
     _check_sizes(meta, read, data)
+    _check_spans(meta, read, data if measured else data[:, :6])
     return BranchTrajectory(
         file=item.file,
         t=np.arange(len(data)) / meta.sample_rate_hz,
@@ -478,13 +479,28 @@ def _load_joints(folder: Path, meta: JointMeta, file: YamlFile) -> JointCase:
     )
 
 
-def _check_span(path: Path, column: str, values: Array) -> None:
-    """Refuse numbers beyond what single precision can square, and changes that it cannot; none at all is no fault."""
-    most, span = np.abs(values).max(), np.ptp(values)
-    if most > LARGEST or 0.0 < span < 1.0 / LARGEST:
-        found = f"{most:.3g}" if most > LARGEST else f"changes of {span:.3g} in all"
+def _check_spans(meta: BranchMeta, read: Timed, data: Array) -> None:
+    """Check each of a branch's quantities, three columns at a time: an axis along which nothing moves is rounding."""
+    names = [_column(meta, key).column for key in BRANCH_COLUMNS[1:]]
+    for first in range(0, data.shape[1], 3):
+        _check_span(read.columns.path, names[first : first + 3], data[:, first : first + 3])
+
+
+def _check_span(path: Path, names: Sequence[str], values: Array) -> None:
+    """Refuse numbers beyond what single precision can square, and changes that it cannot; none at all is no fault.
+
+    Args:
+        path: The file.
+        names: The columns of one quantity.
+        values: Their numbers, shape [T, C].
+    """
+    most, span = np.abs(values).max(axis=0), np.ptp(values, axis=0)
+    small = 0.0 < span.max() < 1.0 / LARGEST
+    if not most.max() <= LARGEST or small:
+        worst = int((span if small else most).argmax())
+        found = f"changes of {span[worst]:.3g} in all" if small else f"{most[worst]:.3g}"
         allowed = f"numbers up to {LARGEST:g} that change by {1 / LARGEST:g} or more, or not at all (times scale)"
-        raise InputError(path, f"column {column}", found, allowed)
+        raise InputError(path, f"column {names[worst]}", found, allowed)
 
 
 #: Largest measured number, times its scale, in SI units, and the inverse of the least change of one.
@@ -499,7 +515,7 @@ def joint_trajectory(folder: Path, meta: JointMeta, item: JointTrajectoryMeta) -
     step = check_clock(read)
     by_name = dict(zip(read.others, read.values.T, strict=True))
     for column, scale in [(i.column, i.scale) for i in inputs] + [(o.column, o.scale) for o in meta.outputs]:
-        _check_span(folder / item.file, column, by_name[column] * scale)
+        _check_span(folder / item.file, [column], by_name[column][:, None] * scale)
     efforts = [by_name[i.column] * i.scale for i in inputs]
     as_read = dict(zip(read.others, read.columns.values.T[-len(read.others) :], strict=True))
 

@@ -35,7 +35,7 @@ class SegmentMeta(Strict):
 class GraspMeta(Strict):
     """Where the gripper holds the branch."""
 
-    segment: str
+    segment: Annotated[str, BeforeValidator(str)]  # a number is refused beside the names that there are
     distance_from_lower_end_m: NotNegative
 
 

@@ -11,9 +11,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from pydantic import TypeAdapter
 
 from ...sim.base.console import bar
 from ...sim.base.errors import InputError
+from ...sim.base.files import read_text
+from ...sim.base.json_file import object_of
 from ..cases.case import load_case
 from ..gap.diagnose import find_missing
 from ..gap.diagnosis import Settings
@@ -22,12 +25,27 @@ from ..hidden import NAMES, Spec, exam_plan, hide
 from ..hidden.joints.hide import FAINT, hide_joints
 from ..hidden.joints.plan import JointCaseSpec, joint_plan
 from ..reports.figures import png
+from ..runs.folder import replace_text
+from ..runs.schema import Kept, NotNegative, validated
 from ..runs.side_by_side import side_by_side
 from ..runs.threads import one_thread
 from .grades import WANTED, WANTED_JOINTS, as_text, grades, names_of
 
 #: Noise of a branch's sensors where the command does not say.
 NOISE = 0.03
+#: Most cases of an exam: at half a minute each they take days.
+MOST_CASES = 10_000
+
+
+class Result(Kept):
+    """What a line of ``results.jsonl`` says of a case, as far as an exam is gone on with and graded by it."""
+
+    case: NotNegative
+    kind: str
+    noise: float
+    spec: dict[str, Any]
+    truth: dict[str, Any]
+    verdict: dict[str, Any]
 
 
 def hold(
@@ -40,9 +58,10 @@ def hold(
         InputError: A number cannot be, or ``out`` holds cases of another exam.
         ChildProcessError: The process of a case was killed.
     """
-    for name, value, low in (("cases", cases, 1), ("jobs", jobs, 1)):
-        if value < low:
-            raise InputError("exam", f"--{name}", str(value), f"{low} or more")
+    if not 1 <= cases <= MOST_CASES:
+        raise InputError("exam", "--cases", str(cases), f"1 to {MOST_CASES}")
+    if jobs < 1:
+        raise InputError("exam", "--jobs", str(jobs), "1 or more")
     if joints and (hard or held_back):
         raise InputError("exam", "--hard", "with --joints", "branches: every case of joints is as hard as it gets")
     if noise is not None and joints:
@@ -80,19 +99,27 @@ def done_before(place: Path, plan: Sequence[Spec | JointCaseSpec]) -> list[dict[
     """Return the results of a stopped exam that belong to a plan; a line that was cut off is taken away.
 
     Raises:
-        InputError: The file holds cases of another exam.
+        InputError: A line is no result of a case, or one of another exam.
     """
     if not place.exists():
         return []
-    *lines, rest = place.read_text().split("\n")
+    *lines, rest = read_text(place).split("\n")
+    results = [_result(line, place, number) for number, line in enumerate(lines, start=1)]
     if rest:  # killed while it was written
-        place.write_text("".join(f"{line}\n" for line in lines))
-    done = [d for d in map(json.loads, lines) if d["case"] < len(plan)]
+        replace_text(place, "".join(f"{line}\n" for line in lines))
+    done = [d for d in results if d["case"] < len(plan)]
     for d in done:
         if d.get("spec") != _told(plan[d["case"]]):
             found = f"case {d['case']} of another exam"
             raise InputError(place, "", found, "the options that it was begun with, or another --out")
     return done
+
+
+def _result(line: str, place: Path, number: int) -> dict[str, Any]:
+    allowed = "a case's result as bough exam writes it (without the line its case is held again)"
+    found = object_of(line, place, allowed, number)
+    validated(TypeAdapter(Result), found, place, f"line {number}", allowed)
+    return found
 
 
 def _told(spec: Spec | JointCaseSpec) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -75,9 +76,11 @@ def exam_plan(
     singles = rng.permutation(NAMES).tolist()
     outsides = rng.permutation(outside_names(held_back) if hard else OUTSIDE).tolist()
     specs: list[Spec] = []
+    before = Counter[str]()
     for k in range(cases):
         kind = MIX[k % len(MIX)]
-        count = sum(spec.kind == kind for spec in specs)
+        count = before[kind]
+        before[kind] += 1
         names = {"null": (), "single": (singles[count % len(singles)],), "pair": _pair(rng), "outside": ()}[kind]
         other = outsides[count % len(outsides)] if kind == "outside" else None
         spec = Spec(kind, tuple(names), other, int(rng.integers(2**31)), segments, noise)

@@ -12,13 +12,14 @@ import numpy as np
 import torch
 
 from ...sim.base.errors import InputError
-from ...sim.base.files import output_folder
+from ...sim.base.files import output_folder, read_bytes
 from ...sim.base.host import check_memory
 from ...sim.base.types import Array
 from ...version import __version__
 from ..cases.case import BranchCase, JointCase, load_case
 from ..cases.noise import NoiseEstimate
 from ..priors.choose import make_prior
+from ..priors.earlier import EARLIER
 from ..replay.equation_error import noise_of, recordings_of, thinned
 from ..replay.recording import Recording
 from ..runs.checkpoint import Checkpoint, digest
@@ -317,6 +318,6 @@ def identify(
 
 
 def _key(case: BranchCase | JointCase, settings: Settings, model: str | Path | None) -> str:
-    earlier = [Path(p).read_bytes() for p in settings.prior if p.endswith(".npz") and Path(p).is_file()]
-    given = None if model is None else Path(model).read_bytes()
+    earlier = [read_bytes(p, allowed=EARLIER) for p in settings.prior if p.endswith(".npz")]
+    given = None if model is None else read_bytes(model)
     return digest(case.folder, settings, earlier, given, __version__)

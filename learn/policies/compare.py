@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...sim.base.archive import read_arrays
 from ...sim.base.errors import InputError
 from ...sim.base.types import Array, IntArray
 from ..tasks.parts import Column
@@ -147,13 +148,7 @@ def read_episodes(path: Path, policy: str = "trained") -> Episodes:
         InputError: The file is missing or no such file, or the policy is not in it.
     """
     allowed = "a file that bough evaluate wrote"
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            held = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError):
-        raise InputError(
-            path, "", "no such file" if not path.is_file() else "no file of plain arrays", allowed
-        ) from None
+    held = read_arrays(path, allowed)
     start = f"measure/{policy}/"
     measures = {name[len(start) :]: values for name, values in held.items() if name.startswith(start)}
     if "target" not in held or SUCCESS not in measures:

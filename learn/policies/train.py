@@ -117,6 +117,7 @@ class Trainer:
             if "random_cuda" in own:
                 torch.cuda.set_rng_state(own["random_cuda"], self.task.device)
             self.done, self._steps = done, int(own["steps"])
+            self._without_room = contacts_without_room(self.task)  # the worlds come with what they had counted before
         except (RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError) as error:
             first = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(checkpoint.path, "", f"states that do not fit ({first})", "those of this task") from None

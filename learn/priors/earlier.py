@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from ...sim.base.archive import read_arrays
 from ...sim.base.errors import InputError
 from ..systems.system import Parameter, free_of
 from .prior import Prior
 
-_ALLOWED = "the posterior.npz that bough identify writes"
+#: What the posterior of an earlier case is, as errors say it.
+EARLIER = "the posterior.npz that bough identify writes"
 
 
 class EarlierPosterior(Prior):
@@ -70,7 +70,7 @@ def read_earlier(path: str | Path, parameters: Sequence[Parameter]) -> EarlierPo
             are too few or too alike for a density.
     """
     file = Path(path)
-    names, units, particles = _read(file)
+    names, units, particles = read_particles(file)
     index = [i for i, p in enumerate(parameters) if p.name in names]
     if not index:
         found = f"no parameter of this case, only {', '.join(names)}"
@@ -86,27 +86,15 @@ def read_earlier(path: str | Path, parameters: Sequence[Parameter]) -> EarlierPo
     return EarlierPosterior(torch.tensor(index), free)
 
 
-def _read(file: Path) -> tuple[list[str], list[str], np.ndarray]:
-    """Return names [n], units [n] and particles [P, n] of a posterior."""
-    try:
-        archive = np.load(file, allow_pickle=False)
-        if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise InputError(file, "", "a single array", _ALLOWED)
-        with archive:
-            for key in ("names", "units", "particles"):
-                if key not in archive.files:
-                    raise InputError(file, key, f"only {', '.join(archive.files) or 'no array'}", f"an array {key}")
-            names, units, particles = archive["names"], archive["units"], archive["particles"]
-    except FileNotFoundError:
-        raise InputError(file, "", "no such file", _ALLOWED) from None
-    except IsADirectoryError:
-        raise InputError(file, "", "a folder", _ALLOWED) from None
-    except PermissionError:
-        raise InputError(file, "", "a file without permission to read", "a readable file") from None
-    except InputError:
-        raise
-    except (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error):
-        raise InputError(file, "", "a file that is no whole .npz archive of plain arrays", _ALLOWED) from None
+def read_particles(file: Path) -> tuple[list[str], list[str], np.ndarray]:
+    """Return names [n], units [n] and particles [P, n], float64, of a posterior; other arrays are passed over.
+
+    Raises:
+        InputError: The file is missing, no such archive or lacks an array; shapes or types do not fit.
+    """
+    keys = ("names", "units", "particles")
+    found = read_arrays(file, EARLIER, keys)
+    names, units, particles = (found[key] for key in keys)
     _check_arrays(file, names, units, particles)
     return names.tolist(), units.tolist(), particles.astype(np.float64)
 

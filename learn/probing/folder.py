@@ -20,18 +20,38 @@ import json
 import os
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field, FiniteFloat, TypeAdapter
 
 from ...sim.base.errors import InputError
+from ...sim.base.json_file import read_object
 from ...sim.base.types import Array
 from ..cases.case import BRANCH_COLUMNS, BranchCase
 from ..recordings.folder import Content, write_case
+from ..runs.schema import Count, Kept, validated
 from .hand import Ways
 from .raw import samples_of
 from .rounds import Finding
 from .structure import Structure
+
+
+class Zero(Kept):
+    """What ``zero.json`` says of the branch at rest."""
+
+    rest_m: Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
+    stiffness_scale: Annotated[FiniteFloat, Field(gt=0)]
+    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 1.0
+
+
+class Plan(Kept):
+    """What ``plan_K.json`` says of a pull."""
+
+    pull: str
+    words: str
+    recordings: Count
+    why: str
 
 
 class Folder:
@@ -67,7 +87,7 @@ class Folder:
     @property
     def zero(self) -> dict[str, Any] | None:
         """Rest place of the grasp point, scale of the springs and share of the force, None where not known yet."""
-        return self._read("zero.json")
+        return self._read("zero.json", TypeAdapter(Zero))
 
     @zero.setter
     def zero(self, value: dict[str, Any]) -> None:
@@ -76,7 +96,7 @@ class Folder:
 
     def plan(self, number: int) -> dict[str, Any] | None:
         """Return the plan of a pull, None where there is none."""
-        return self._read(f"plan_{number}.json")
+        return self._read(f"plan_{number}.json", TypeAdapter(Plan))
 
     def set_plan(self, number: int, plan: dict[str, Any]) -> None:
         """Write the plan of a pull."""
@@ -92,15 +112,16 @@ class Folder:
         for number in range(1, 1000):
             if self.plan(number) is None:
                 break
-            found = self._read(f"round_{number}.json")
+            found = self.finding(number)
             if found is not None:
-                out.append(Finding.of_json(found))
+                out.append(found)
         return out
 
     def finding(self, number: int) -> Finding | None:
         """Return what a round found, None where it has not been."""
-        found = self._read(f"round_{number}.json")
-        return None if found is None else Finding.of_json(found)
+        name = f"round_{number}.json"
+        found = self._read(name)
+        return None if found is None else Finding.of_json(found, self.path / name)
 
     def set_finding(self, number: int, finding: Finding) -> None:
         """Write what a round found."""
@@ -141,16 +162,14 @@ class Folder:
         assert isinstance(case, BranchCase)
         return case
 
-    def _read(self, name: str) -> dict[str, Any] | None:
-        try:
-            found = json.loads((self.path / name).read_text())
-        except FileNotFoundError:
+    def _read(self, name: str, needs: TypeAdapter[Any] | None = None) -> dict[str, Any] | None:
+        """Return the fields of a file, None where there is none; raise `InputError` for what it lacks of ``needs``."""
+        file, allowed = self.path / name, "what bough probe wrote"
+        if not file.exists():
             return None
-        except (OSError, ValueError) as error:
-            found = f"no JSON ({type(error).__name__})"
-            raise InputError(self.path / name, "", found, "a file of bough probe") from None
-        if not isinstance(found, dict):
-            raise InputError(self.path / name, "", "no JSON object", "a file of bough probe")
+        found = read_object(file, allowed)
+        if needs is not None:
+            validated(needs, found, file, allowed=allowed)
         return found
 
     def _write(self, name: str, content: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ...sim.arms.arm import Arm
-from ...sim.base.errors import InputError
+from ...sim.base.errors import InputError, shortened
 from ..cases.case import BranchCase
 from ..gap.diagnosis import Diagnosis, Settings
 from ..replay.probes import ArmProbe, Push
@@ -137,7 +137,7 @@ class Prober:
         last = self._folder.finding(number - 1) if number > 1 else None
         name = last.propose if last is not None and last.propose else first(self._pulls, done, self._hand.releases)
         left = self._budget.recordings - done
-        if len(self._pulls[name].pushes) > left:
+        if len(self._pull(f"round_{number - 1}.json", "propose", name).pushes) > left:
             name = next((n for n, p in self._pulls.items() if len(p.pushes) <= left), "")
         if left <= 0 or not name:
             return None
@@ -148,13 +148,19 @@ class Prober:
 
     def _pulled(self, number: int, plan: Mapping[str, Any]) -> int:
         """Do what of a pull is not recorded yet; return how many recordings it has."""
-        pull: ArmProbe = self._pulls[plan["pull"]]
+        pull = self._pull(f"plan_{number}.json", "pull", plan["pull"])
         for part, push in enumerate(pull.pushes, 1):
             path = self._folder.recording(number, part)
             if not path.exists():
                 self._say(f"pull {number}: {plan['words']} ({plan['why']})")
                 self._within_force(push, path)
         return len(pull.pushes)
+
+    def _pull(self, name: str, key: str, pull: str) -> ArmProbe:
+        """Return the pull that a file names."""
+        if pull not in self._pulls:
+            raise InputError(self._folder.path / name, key, shortened(pull), ", ".join(self._pulls))
+        return self._pulls[pull]
 
     def _within_force(self, push: Push, path: Path) -> None:
         """Pull; where the branch pulls harder than allowed, let go and begin again with half of it, a few times.

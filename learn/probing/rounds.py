@@ -8,9 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 from scipy.stats import chi2, ncx2
 
 from ...sim.base.types import Array
@@ -26,6 +28,7 @@ from ..gap.prepare import Base, prepare
 from ..gap.run import Run
 from ..gap.search import search
 from ..replay.probes import ArmProbe
+from ..runs.schema import validated
 from ..runs.threads import one_thread
 from .menu import PLAIN
 
@@ -69,10 +72,15 @@ class Finding:
         return out | {"width": None if math.isinf(self.width) else self.width}
 
     @staticmethod
-    def of_json(data: dict[str, Any]) -> Finding:
-        """Return what `as_json` has made plain."""
-        lists = {key: tuple(data[key]) for key in ("effects", "names", "rival")}
-        return Finding(**{**data, **lists, "width": math.inf if data["width"] is None else data["width"]})
+    def of_json(data: dict[str, Any], file: str | Path) -> Finding:
+        """Return what `as_json` has made plain and a file has kept.
+
+        Raises:
+            InputError: The file has a field of another type, or lacks one.
+        """
+        width = {"width": math.inf} if data.get("width") is None else {}
+        found: Finding = validated(TypeAdapter(Finding), {**data, **width}, file, allowed="what bough probe wrote")
+        return found
 
 
 CLEAR = TIED

@@ -225,7 +225,8 @@ def history(rollout: ReplayWorlds) -> list[Recording]:
     chosen = {r.t_start: r for r in rollout.recordings}
     if len(chosen) < len(rollout.recordings):
         raise InputError(rollout.case.folder / "meta.yaml", "t_start_s", "one time for two trajectories", "a time each")
-    before = [r for r in recordings(rollout.case) if r.t_start < max(chosen) and r.t_start not in chosen]
+    left = {t.t_start for t in rollout.case.trajectories if t.t_start < max(chosen)} - chosen.keys()
+    before = [r for r in recordings(rollout.case) if r.t_start in left] if left else []
     return sorted([*before, *chosen.values()], key=lambda r: r.t_start)
 
 

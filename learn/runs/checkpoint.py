@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from ...sim.base.errors import InputError
+from ...sim.base.files import DATA_LIMIT, opened, read_bytes
+from .state import packed, unpacked
 
 _COUNT = "work counted"
 
@@ -44,19 +44,18 @@ class Checkpoint:
         """Begin anew, or go on where a run was left; return whether there was one to go on with.
 
         Raises:
-            InputError: The run that was left is of another case or other settings.
+            InputError: The run that was left is of another case or other settings, or one of its states is damaged.
         """
         assert self.folder is not None
         mark = self.folder / "key"
-        found = mark.read_text() if mark.exists() else None
-        if resume and found is not None:
-            if found != self.key:
+        if resume and mark.exists():
+            if read_bytes(mark) != self.key.encode():
                 allowed = "the case and settings it was begun with, or no --resume"
                 raise InputError(
                     self.folder, "--resume", "an unfinished run of another case or other settings", allowed
                 )
             states = [self.folder / name for name in os.listdir(self.folder) if name[0] != "." and name != "key"]
-            self.earlier = max((torch.load(file, weights_only=True).get(_COUNT, 0) for file in states), default=0)
+            self.earlier = max((_read(file)[_COUNT] for file in states), default=0)
             return True
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
@@ -67,7 +66,7 @@ class Checkpoint:
         """Return a state (tensors, numbers, text and lists of them), or None where there is none."""
         if self.folder is None or not (self.folder / (self.part + name)).exists():
             return None
-        state: dict[str, Any] = torch.load(self.folder / (self.part + name), weights_only=True)
+        state = _read(self.folder / (self.part + name))
         return {key: value for key, value in state.items() if key != _COUNT}
 
     def due(self, name: str) -> bool:
@@ -81,7 +80,8 @@ class Checkpoint:
             return
         name = self.part + name
         part = self.folder / f".{name}.part"
-        torch.save({**state, _COUNT: self.earlier + self.count()}, part)
+        data = packed({**state, _COUNT: self.earlier + self.count()})
+        part.write_bytes(hashlib.sha256(data).digest() + data)
         os.replace(part, self.folder / name)
         self._written[name] = time.monotonic()
 
@@ -91,10 +91,31 @@ class Checkpoint:
             shutil.rmtree(self.folder, ignore_errors=True)
 
 
+def _read(file: Path) -> dict[str, Any]:
+    """Return a state, if it is to the bit what was written: whoever asked for it need not doubt what it holds.
+
+    Raises:
+        InputError: It is not.
+    """
+    data = read_bytes(file)
+    size = hashlib.sha256().digest_size
+    if hashlib.sha256(data[size:]).digest() != data[:size]:
+        allowed = f"the file as it was written; begin anew without --resume, which removes {file.parent.name}"
+        raise InputError(file, "", "a damaged state of an unfinished run", allowed)
+    return unpacked(data[size:], file, "a state of an unfinished run")
+
+
 def digest(folder: Path, *parts: object) -> str:
-    """Return a key of a folder's files and anything else that can be printed."""
+    """Return a key of a folder's files and anything else that can be printed.
+
+    Raises:
+        InputError: A file cannot be read.
+    """
     h = hashlib.sha256()
     for path in sorted(p for p in folder.iterdir() if p.is_file()):
-        h.update(path.name.encode() + b"\0" + path.read_bytes())
+        h.update(path.name.encode() + b"\0")
+        with opened(path, DATA_LIMIT) as file:
+            for block in iter(lambda: file.read(1 << 20), b""):
+                h.update(block)
     h.update(repr(parts).encode())
     return h.hexdigest()

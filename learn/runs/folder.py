@@ -16,9 +16,10 @@ from typing import Any
 import torch
 
 from ...sim.base.errors import InputError
-from ...sim.base.files import read_text
+from ...sim.base.files import read_bytes, read_text
 from .processes import Processes
 from .schema import CHECKPOINT_FORMAT, FORMAT, Manifest, RunRecord, read_record
+from .state import packed, unpacked
 
 CONFIG, METRICS_FILE, CHECKPOINTS, MANIFEST = "config.json", "metrics.csv", "checkpoints", "manifest.json"
 MODEL = "model"
@@ -73,7 +74,7 @@ class RunFolder:
         file = self.path / METRICS_FILE
         if not file.exists():
             return
-        head, *rows = file.read_text().splitlines() or [""]
+        head, *rows = read_text(file).splitlines() or [""]
         kept = [row for row in rows if row.split(",")[0].isdigit() and int(row.split(",")[0]) <= done]
         replace_text(file, "".join(f"{line}\n" for line in [head, *kept]) if done and kept else "")
 
@@ -176,23 +177,11 @@ class CheckpointFolder:
             InputError: It is missing, damaged, or holds anything else.
         """
         file = self.path / f"{name}.pt"
-        try:
-            data = file.read_bytes()
-            noted = file.with_suffix(".sha256").read_text().strip()
-        except OSError as error:
-            raise InputError(error.filename, "", str(error.strerror).lower(), "a whole checkpoint") from None
-        except UnicodeDecodeError:
-            noted = ""
-        if hashlib.sha256(data).hexdigest() != noted:
+        data = read_bytes(file, allowed="a whole checkpoint")
+        noted = read_bytes(file.with_suffix(".sha256"), allowed="a whole checkpoint")
+        if hashlib.sha256(data).hexdigest().encode() != noted.strip():
             raise InputError(file, "", "a damaged checkpoint (its digest does not fit)", "the file as it was written")
-        try:
-            state: dict[str, Any] = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-        except Exception as error:  # torch names no common class for what it refuses to read
-            first = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise InputError(file, "", f"not a checkpoint ({first[:80]})", "tensors, numbers and text") from None
-        if not isinstance(state, dict):
-            raise InputError(file, "", f"not a checkpoint ({type(state).__name__})", "named tensors, numbers and text")
-        return state
+        return unpacked(data, file, "a checkpoint", "cpu")
 
     def load_model(self) -> dict[str, Any]:
         """Return networks, normalisers and optimiser.
@@ -219,9 +208,7 @@ def check_finite(file: Path, state: object, place: str = "") -> None:
 
 
 def _write_state(folder: Path, name: str, state: dict[str, Any]) -> None:
-    buffer = io.BytesIO()
-    torch.save(state, buffer)
-    data = buffer.getvalue()
+    data = packed(state)
     _write_bytes(folder / f"{name}.pt", data)
     _write_bytes(folder / f"{name}.sha256", hashlib.sha256(data).hexdigest().encode())
 

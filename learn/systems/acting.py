@@ -145,7 +145,9 @@ class ActingSet:
         return out
 
     def values(self, columns: torch.Tensor) -> torch.Tensor:
-        """Return the values of all entries [sets, entries] from the unknowns' columns [sets, n]."""
+        """Return the values of all entries [sets, entries] from the unknowns' columns [sets, n]; not to be written."""
+        if len(self._unknown) == len(self.entries):  # in a search nothing is known
+            return columns
         out = columns.new_tensor(self._known).repeat(len(columns), 1)
         out[:, self._unknown] = columns
         return out

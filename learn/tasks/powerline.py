@@ -106,7 +106,7 @@ class Powerline(AssembledTask):
         if not all_on:
             return Contacts(line_radius=scene.target.radius)
         ground = scene.height[0] - max(fork_height(tree) for tree in trees)
-        return Contacts(line_radius=scene.target.radius, arm_arm=True, branch_branch=True, ground=ground, capacity=64)
+        return Contacts(line_radius=scene.target.radius, arm_arm=True, branch_branch=True, ground=ground)
 
     def _place(self, mask: wp.array, episode: wp.array) -> None:
         self.scene.place(mask, episode)

@@ -98,7 +98,7 @@ class BranchTask(AssembledTask):
         if not all_on:
             return Contacts(arm_line=False)
         ground = self.cfg.scene.height[0] - max(fork_height(tree) for tree in trees)
-        return Contacts(arm_line=False, arm_arm=True, branch_branch=True, ground=ground, capacity=64)
+        return Contacts(arm_line=False, arm_arm=True, branch_branch=True, ground=ground)
 
     def _place(self, mask: wp.array, episode: wp.array) -> None:
         self.places.place(mask, episode)

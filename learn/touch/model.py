@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ...kernels.touch.features import FEATURES, K, M
+from ...sim.base.archive import read_arrays
 from ...sim.base.errors import InputError
-from ...sim.base.files import check_regular
 from ...sim.base.types import Array, IntArray
 from .features import features_of
 from .forest import Forest, grow_forest
@@ -119,14 +118,7 @@ def read_model(path: Path) -> TouchModel:
         InputError: It is missing or no such file; its features are others; its numbers make no model.
     """
     allowed = "a model that bough touch train wrote (model.npz)"
-    if not path.is_file():
-        raise InputError(path, "", "a folder" if path.is_dir() else "no such file", allowed)
-    check_regular(path, _LARGEST)
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            held = {name: file[name] for name in file.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, KeyError, AttributeError):
-        raise InputError(path, "", "no file of plain arrays", allowed) from None
+    held: dict[str, Any] = read_arrays(path, allowed, limit=_LARGEST)
     if str(held.get("format")) != FORMAT:
         raise InputError(path, "format", f"'{held.get('format')}'", FORMAT)
     if str(held.get("layout")) != LAYOUT:

@@ -1,5 +1,5 @@
 """Cases, posteriors and policies on a page in the browser.
 
-Uses: `sim.base`, `sim.trees`, `sim.view`, `learn.cases`, `learn.systems`, `learn.replay`, `learn.tasks`,
-`learn.policies`.
+Uses: `sim.base`, `sim.trees`, `sim.view`, `learn.cases`, `learn.systems`, `learn.priors`, `learn.replay`,
+`learn.tasks`, `learn.policies`.
 """

@@ -11,6 +11,7 @@ import torch
 from ...sim.base.errors import InputError
 from ...sim.base.types import Array
 from ..cases.case import BranchCase, load_case
+from ..priors.earlier import read_particles
 from ..replay.recording import recordings
 from ..replay.rollout import Rollout
 from ..systems.acting import Acting
@@ -134,16 +135,9 @@ def drawn_from(file: Path, count: int, seed: int, effects: tuple[Acting, ...] = 
     Raises:
         InputError: It cannot be read or is no posterior.
     """
-    try:
-        with np.load(file, allow_pickle=False) as archive:
-            names, particles = tuple(map(str, archive["names"])), np.asarray(archive["particles"], np.float64)
-    except FileNotFoundError:
-        raise InputError(file, "", "no such file", "the posterior.npz of bough identify") from None
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        found = f"no posterior ({str(error).splitlines()[0]})"
-        raise InputError(file, "", found, "the posterior.npz of bough identify") from None
+    names, _, particles = read_particles(file)
     chosen = np.random.default_rng(seed).permutation(len(particles))[:count]
-    return Drawn(names, particles[np.sort(chosen)], effects)
+    return Drawn(tuple(names), particles[np.sort(chosen)], effects)
 
 
 def cloud(case: BranchCase, drawn: Drawn, source: Path) -> Array:

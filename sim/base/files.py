@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import io
 import os
 import shutil
 import stat
@@ -10,11 +11,14 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from .errors import InputError
 
 #: Largest text file that is read: ten hours of a recording at 1 kHz have a quarter of it.
 TEXT_LIMIT = 1 << 30
+#: Largest file of numbers that is read: states of many worlds. Whether they fit into memory is another question.
+DATA_LIMIT = 1 << 36
 _WORK = ".bough-"
 
 
@@ -104,34 +108,60 @@ def check_regular(file: Path, limit: int = TEXT_LIMIT) -> None:
         raise InputError(file, "", f"{status.st_size / 2**20:.0f} MiB", f"{limit / 2**20:.0f} MiB at most")
 
 
+@contextmanager
+def opened(path: str | Path, limit: int = TEXT_LIMIT, allowed: str = "") -> Iterator[BinaryIO]:
+    """Open a file of at most ``limit`` bytes; what opening and reading it raises becomes one line.
+
+    Args:
+        path: The file.
+        limit: Bytes that it may have.
+        allowed: What the file should be, where a user may have named another one; "a file" if not given.
+
+    Raises:
+        InputError: The file is missing, a folder, a device or a pipe, too large or unreadable.
+    """
+    file = Path(path)
+    if "\0" in str(file):
+        raise InputError(repr(str(file)), "", "a name with a NUL", "a file's name")
+    check_regular(file, limit)
+    try:
+        with file.open("rb") as stream:
+            yield stream
+    except OSError as error:
+        raise _unread(file, error, allowed) from None
+
+
+def _unread(file: Path, error: OSError, allowed: str) -> InputError:
+    if isinstance(error, FileNotFoundError):
+        return InputError(file, "", "no such file", allowed or "an existing file")
+    if isinstance(error, IsADirectoryError):
+        return InputError(file, "", "a folder", allowed or "a file")
+    if isinstance(error, PermissionError):
+        return InputError(file, "", "a file without permission to read", "a readable file")
+    # a name that is too long, links that lead in a circle
+    return InputError(_shortened(file), "", str(error.strerror).lower(), "a readable file")
+
+
+def read_bytes(path: str | Path, limit: int = DATA_LIMIT, allowed: str = "") -> bytes:
+    """Read a file of at most ``limit`` bytes; arguments and errors as of `opened`."""
+    with opened(path, limit, allowed) as stream:
+        return stream.read()
+
+
 def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
     """Read a text file of at most ``limit`` bytes: UTF-8, or UTF-16 that begins with its byte-order mark.
 
     Raises:
-        InputError: The file is missing, a folder, a device or a pipe, too large, unreadable or not text.
+        InputError: As of `opened`, or it is not text.
     """
-    file = Path(path)
-    check_regular(file, limit)
+    with opened(path, limit) as stream:
+        data = stream.read()
+    marked = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     try:
-        return file.read_text(encoding=_encoding(file))
-    except ValueError as e:  # a NUL in the name, or bytes that are no text
-        if isinstance(e, UnicodeDecodeError):
-            raise InputError(file, f"byte {e.start}", "bytes that are not UTF-8 text", "a text file in UTF-8") from None
-        raise InputError(repr(str(file)), "", "a name with a NUL", "a file's name") from None
-    except FileNotFoundError:
-        raise InputError(file, "", "no such file", "an existing file") from None
-    except IsADirectoryError:
-        raise InputError(file, "", "a folder", "a file") from None
-    except PermissionError:
-        raise InputError(file, "", "a file without permission to read", "a readable file") from None
-    except OSError as e:  # a name that is too long, links that lead in a circle
-        raise InputError(_shortened(file), "", str(e.strerror).lower(), "a readable file") from None
-
-
-def _encoding(file: Path) -> str:
-    with file.open("rb") as stream:
-        mark = stream.read(2)
-    return "utf-16" if mark in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
+        with io.TextIOWrapper(io.BytesIO(data), "utf-16" if marked else "utf-8") as text:  # any end of a line
+            return text.read()
+    except UnicodeDecodeError as e:
+        raise InputError(path, f"byte {e.start}", "bytes that are not UTF-8 text", "a text file in UTF-8") from None
 
 
 def _shortened(file: Path) -> str:

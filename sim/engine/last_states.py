@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -13,8 +12,8 @@ import torch
 import warp as wp
 
 from ...kernels.tree.last_states import keep_kernels
+from ..base.archive import read_arrays
 from ..base.errors import InputError
-from ..base.files import check_regular
 from ..base.types import Array, IntArray
 from ..trees.tree import Tree
 
@@ -136,14 +135,7 @@ class Fault:
             InputError: It is missing, or nothing that `LastStates.write` has written.
         """
         allowed = "a file that bough simulate --dump-faults wrote"
-        check_regular(path)
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                found = {name: data[name] for name in data.files}
-        except FileNotFoundError:
-            raise InputError(path, "", "no such file", allowed) from None
-        except (OSError, EOFError, ValueError, zipfile.BadZipFile, TypeError, AttributeError) as error:
-            raise InputError(path, "", f"no archive of arrays ({str(error).splitlines()[0][:60]})", allowed) from None
+        found: dict[str, Any] = read_arrays(path, allowed)
         if str(found.get("format", "")) != FORMAT:
             raise InputError(path, "format", repr(str(found.get("format", "none"))), FORMAT)
         try:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from ..base.console import bar, warn
 from ..base.errors import InputError
-from ..base.files import read_text
+from ..base.json_file import read_object
 from ..formats.load import load_mechanism
 from .living import Planted
 
 FILE = "forest.json"
 _READ = (".xml", ".urdf")
+_WRITTEN = "what bough forest writes"
 
 
 def read_forest(folder: Path) -> Planted:
@@ -32,9 +32,9 @@ def read_forest(folder: Path) -> Planted:
 
 def _files(description: Path) -> list[str]:
     try:
-        trees = [tree["files"] for tree in json.loads(read_text(description))["trees"]]
-    except (ValueError, KeyError, TypeError):
-        raise InputError(description, "", "no description of a forest", "what bough forest writes") from None
+        trees = [tree["files"] for tree in read_object(description, _WRITTEN)["trees"]]
+    except (KeyError, TypeError):
+        raise InputError(description, "", "no description of a forest", _WRITTEN) from None
     chosen = [next((f for f in files if Path(f).suffix in _READ), None) for files in trees]
     if not chosen or None in chosen:
         allowed = "a forest written with --format mjcf or urdf"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..base.archive import read_arrays
 from ..base.errors import InputError
 from ..base.types import Array
 from ..engine.trajectory import CAPSULES
@@ -71,12 +71,7 @@ def read(file: Path) -> dict[str, Any]:
     Raises:
         InputError: It cannot be read, is of joints measured directly, or lacks what a picture needs.
     """
-    try:
-        with np.load(file, allow_pickle=False) as archive:
-            data = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        allowed = "what bough simulate writes"
-        raise InputError(file, "", f"no archive of arrays ({str(error).splitlines()[0]})", allowed) from None
+    data = read_arrays(file, "what bough simulate writes")
     if "channel" in data:
         raise InputError(file, "", "joints measured directly, which have no shape", "a simulation of a tree or branch")
     missing = [name for name in _NEEDED if name not in data]

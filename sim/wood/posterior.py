@@ -12,8 +12,6 @@ posterior of one particle.
 from __future__ import annotations
 
 import warnings
-import zipfile
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..base.archive import read_arrays
 from ..base.errors import InputError
 from ..base.types import Array
 from ..trees.stiffness import beam, beam_size
@@ -34,7 +33,6 @@ Wood = tuple[tuple[float, float, float], ...]
 
 _UNIT = {"stiffness": "N m/rad", "damping": "N m s/rad"}
 _GEOMETRY = ("segment_name", "segment_length_m", "segment_radius_m")
-_BROKEN = (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class SpringPosterior:
                 positive.
         """
         file = Path(path)
-        data = _read(file)
+        data = read_arrays(file, "the posterior.npz that bough identify writes")
         names, length, radius = _geometry(file, data)
         stiffness = np.stack([_values(file, data, "stiffness", name) for name in names], axis=1)
         damping = np.stack([_values(file, data, "damping", name) for name in names], axis=1)
@@ -151,27 +149,6 @@ class SpringPosterior:
         at = np.log(np.where(radius > 0.0, radius, self.radius[0]))
         young, relaxation = (np.interp(at, np.log(self.radius), v[particle]) for v in (self.young, self.relaxation))
         return beam(tree, young, relaxation)
-
-
-def _read(file: Path) -> dict[str, np.ndarray]:
-    """Return the arrays of an .npz file."""
-    allowed = "the posterior.npz that bough identify writes"
-    try:
-        archive = np.load(file, allow_pickle=False)
-        if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise InputError(file, "", "a single array", allowed)
-        with archive:
-            return {name: np.asarray(archive[name]) for name in archive.files}
-    except FileNotFoundError:
-        raise InputError(file, "", "no such file", allowed) from None
-    except IsADirectoryError:
-        raise InputError(file, "", "a folder", allowed) from None
-    except PermissionError:
-        raise InputError(file, "", "a file without permission to read", "a readable file") from None
-    except InputError:
-        raise
-    except _BROKEN:
-        raise InputError(file, "", "a file that is no whole .npz archive of plain arrays", allowed) from None
 
 
 def _array(file: Path, data: dict[str, np.ndarray], name: str, shape: tuple[int | None, ...], kind: str) -> Any:

@@ -1,7 +1,11 @@
 """Bad input from the outside: one line with file and place, exit code 2, nothing written."""
 
 import os
+import re
 import shutil
+import subprocess
+import sys
+import zipfile
 
 import numpy as np
 import pytest
@@ -38,6 +42,15 @@ def with_nan(rows):
     return rows
 
 
+def scaled(columns, factor):
+    """Return what multiplies some columns of a table."""
+
+    def change(rows):
+        return rows[:1] + [[repr(float(v) * factor) if i in columns else v for i, v in enumerate(r)] for r in rows[1:]]
+
+    return change
+
+
 def with_gap(rows):
     return rows[:20] + rows[21:] + [["9.5", *rows[-1][1:]]]
 
@@ -50,6 +63,47 @@ def test_spoilt_tables(bough, case, change, words):
     """Refuse a missing column, a NaN in a row and a clock with a gap; name the file and where in it."""
     rewrite(case / "traj_02.csv", change)
     bough("simulate", case, "--out", "out").refused("traj_02.csv", *words)
+
+
+@pytest.mark.parametrize("command", ["identify", "diagnose"])
+@pytest.mark.parametrize(
+    ("columns", "factor", "words"),
+    [
+        (range(4, 10), 1e-300, ("in all", "1e-15 or more")),
+        (range(1, 4), 1e-300, ("column f", "in all", "1e-15 or more")),
+        (range(7, 10), 1e30, ("column v", "up to 1e+15")),
+        (range(4, 10), 1e30, ("twice the branch's length",)),
+    ],
+)
+def test_numbers_beyond_single_precision(bough, case, tmp_path, command, columns, factor, words):
+    """Refuse a branch that hardly moves or is hardly pulled, and one that moves beyond all bounds; leave nothing."""
+    rewrite(case / "traj_02.csv", scaled(columns, factor))
+    bough(command, case, "--out", "out").refused("traj_02.csv", *words)
+    assert not (tmp_path / ".out.unfinished").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        (("forest", "--out", "out", "--posterior", "vast.npz"), "vast.npz"),
+        (("forest", "--out", "out", "--posterior", "pipe.npz"), "pipe.npz"),
+        (("identify", "case", "--out", "out", "--prior", "vast.npz"), "vast.npz"),
+        (("identify", "case", "--out", "out", "--prior", "pipe.npz"), "pipe.npz"),
+        (("replay", "vast.npz"), "vast.npz"),
+        (("view", "vast.npz", "--case", "case", "--export", "page.html"), "vast.npz"),
+        (("view", "pipe.npz", "--export", "page.html"), "pipe.npz"),
+    ],
+)
+def test_archives_that_claim_terabytes_or_never_end(bough, case, tmp_path, command, name):
+    """Refuse arrays that are not there as large as they say, and a pipe, without memory or patience for them."""
+    os.mkfifo(tmp_path / "pipe.npz")
+    with zipfile.ZipFile(tmp_path / "vast.npz", "w") as archive:
+        for key in ("names", "units", "particles"):
+            with archive.open(f"{key}.npy", "w") as file:
+                claim = {"descr": "<f8", "fortran_order": False, "shape": (2 * 10**12,)}
+                np.lib.format.write_array_header_1_0(file, claim)
+    bough(*command).refused(name)
+    assert not (tmp_path / "page.html").exists()
 
 
 @pytest.mark.parametrize(
@@ -161,6 +215,9 @@ def test_mechanisms_that_never_end(bough, tmp_path, name):
         (("hide", "--seed", 2**64), ("--seed", "0 to 9223372036854775807")),
         (("forest", "--seed", 2**64), ("--seed",)),
         (("exam", "--cases", 1, "--seed", -1), ("--seed",)),
+        (("exam", "--cases", 10**9), ("--cases", "1000000000", "1 to 10000")),
+        (("exam", "--cases", 10**9, "--joints"), ("--cases", "1000000000", "1 to 10000")),
+        (("exam", "--cases", 0), ("--cases", "1 to 10000")),
         (("diagnose", "nowhere", "--effects", ","), ("--effects", "''")),
     ],
 )
@@ -169,11 +226,43 @@ def test_seeds_and_names_that_are_none(bough, command, words):
     bough(*command, "--out", "out").refused(*words)
 
 
-def test_exams_below_a_file_are_refused(bough, tmp_path):
+#: A command that writes a folder, with arguments that are quick to get right.
+WRITE = (
+    "forest", "simulate case", "identify case", "hide --effects force_scale", "diagnose case", "exam --cases 1",
+    "train reach", "play zero --task reach", "export case", "reproduce chapter3", "reproduce chapter4",
+    "reproduce chapter5", "touch record", "touch train case", "touch evaluate case", "touch fit case",
+    "probe --branch branch.yaml", "robot serve", "run case --robot http://127.0.0.1:1", "import-case bag",
+    "import-arm bag", "new-case table.csv",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("out", ["taken", "taken/below"])
+def test_places_that_are_files_are_refused_before_anything_is_made(inside, tmp_path, out):
     """Say that the folder cannot be made, before a case is."""
     (tmp_path / "taken").write_text("mine")
-    for out in ("taken", "taken/below"):
-        bough("exam", "--cases", 1, "--out", out).refused("taken", "a folder, or a path where one can be made")
+    (tmp_path / "case").mkdir()
+    for command in WRITE:
+        inside(*command.split(), "--out", out).refused("taken", "a folder, or a path where one can be made")
+
+
+def test_places_that_are_files_are_refused_before_torch_is_imported(tmp_path):
+    """Refuse in a process in which torch cannot be imported."""
+    (tmp_path / "taken").write_text("mine")
+    (tmp_path / "case").mkdir()
+    code = (
+        "import sys\n"
+        "class Fence:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        assert name != 'torch'\n"
+        "sys.meta_path.insert(0, Fence())\n"
+        "from bough.cli.main import main\n"
+        f"sys.exit(any(main([*command.split(), '--out', 'taken/below']) != 2 for command in {WRITE!r}))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    # lines of progress come by the clock
+    lines = [line for line in done.stderr.splitlines() if not re.match(r"bough: \d+ s: ", line)]
+    assert len(lines) == len(WRITE) and all("a path below the file" in line for line in lines)
 
 
 def test_sizes_beyond_memory(bough):

@@ -100,6 +100,11 @@ def test_a_killed_diagnosis_reaches_the_same_verdict(bough, hidden, diagnosed):
     run.wait()
     assert list(state.glob("search*")) and not Path("killed").exists()
     bough(*options, "--resume", "--seed", 4).refused("--resume", "other settings")
+    file = next(state.glob("search*"))
+    kept = file.read_bytes()
+    file.write_bytes(b"garbage")
+    bough(*options, "--resume").refused(file.name, "damaged", "begin anew without --resume")
+    file.write_bytes(kept)
     done = bough(*options, "--resume")
     assert done.code == 0, done.err
     assert Path("killed/verdict.json").read_text() == (diagnosed[0] / "verdict.json").read_text()

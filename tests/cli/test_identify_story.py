@@ -115,6 +115,10 @@ def test_a_killed_run_goes_on_to_the_same_bits(bough, inside, brief):
     run.wait()
     assert state.exists() and not Path("killed").exists()
     inside("identify", brief, *QUICK, "--out", "killed", "--resume").refused("--resume", "other settings")
+    kept = state.read_bytes()
+    state.write_bytes(b"garbage")
+    inside(*options, "killed", "--resume").refused("posterior.sampler", "damaged", "begin anew without --resume")
+    state.write_bytes(kept)
     done = bough(*options, "killed", "--resume")
     assert done.code == 0, done.err
     a, b = (np.load(f"{name}/posterior.npz")["particles"] for name in ("whole", "killed"))

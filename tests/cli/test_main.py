@@ -44,12 +44,19 @@ def test_ctrl_c_inside_an_exec_ends_with_130(tmp_path):
     assert (done.returncode, done.stderr) == (130, "bough: interrupted; nothing was written\n")
 
 
-@pytest.mark.parametrize(("error", "code"), [(OSError(28, "No space left"), 1), (PermissionError(13, "closed"), 2)])
-def test_faults_of_the_machine(monkeypatch, capsys, error, code):
-    """Tell a full disk (1) from a folder that is closed to the user (2), each in one line."""
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (OSError(28, "No space left"), 1, "No space left"),
+        (PermissionError(13, "closed"), 2, "closed"),
+        (MemoryError("Unable to allocate 14.6 TiB"), 1, "more memory than is left"),
+    ],
+)
+def test_faults_of_the_machine(monkeypatch, capsys, error, code, said):
+    """Tell a full disk and full memory (1) from a folder that is closed to the user (2), each in one line."""
     monkeypatch.setattr(Info, "run", raising(error))
     assert module.main(["info"]) == code
-    assert capsys.readouterr().err == f"bough: info: {error.strerror}\n"
+    assert capsys.readouterr().err == f"bough: info: {said}\n"
 
 
 def test_a_file_left_open_is_no_warning_of_a_command(capsys):

@@ -120,7 +120,7 @@ def test_a_fault_is_replayed(bough, inside, tmp_path):
     assert f"world 1 was lost at {frozen:.6g} s" in end and "link arm" in end and "faster than" in end
     assert len(table) > 2 and all(line.split()[-1] == "0" for line in table[1:])
     inside("replay", "nowhere.npz").refused("nowhere.npz", "no such file")
-    inside("replay", "arm.xml").refused("arm.xml", "no archive of arrays")
+    inside("replay", "arm.xml").refused("arm.xml", "no whole .npz archive of plain arrays")
     (tmp_path / "case").mkdir()
     inside("simulate", "case", "--out", "x", "--dump-faults", "y").refused("--dump-faults", "a tree's file")
     inside("simulate", "arm.xml", "--out", "x", "--dump-faults", "arm.xml").refused("arm.xml", "a file")

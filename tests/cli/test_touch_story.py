@@ -196,7 +196,7 @@ def test_bad_data_is_one_line(fault, tmp_path, capsys):
     [
         (["evaluate", "{none}"], "no such folder"),
         (["evaluate", "{small}", "--free", "{small}"], "--free"),
-        (["evaluate", "{small}", "--model", "{small}/recordings.csv"], "no file of plain arrays"),
+        (["evaluate", "{small}", "--model", "{small}/recordings.csv"], "no whole .npz archive of plain arrays"),
         (["evaluate", "{seven}", "--model", "{model}"], "7 joints; allowed: 6 joints, as the model has"),
         (["record", "--rounds", "0"], "--rounds: found 0"),
         (["record", "--seconds", "1"], "--seconds: found 1"),

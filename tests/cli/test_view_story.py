@@ -26,7 +26,7 @@ def test_what_cannot_be_shown_is_refused(inside, forest, case, tmp_path):
     inside("view", tmp_path / "odd").refused("--case", "the case folder")
     inside("view", tmp_path / "odd", "--case", case).refused("model.yaml")
     (tmp_path / "odd" / "trajectory.npz").write_bytes(b"PK")
-    inside("view", tmp_path / "odd", "--export", tmp_path / "x.html").refused("trajectory.npz", "no archive")
+    inside("view", tmp_path / "odd", "--export", tmp_path / "x.html").refused("trajectory.npz", "no whole .npz archive")
     np.savez(tmp_path / "odd" / "trajectory.npz", time=np.zeros(1))
     inside("view", tmp_path / "odd", "--export", tmp_path / "x.html").refused("body_name", "simulate again")
     inside("view", forest, "--export", tmp_path / "page.txt").refused("--export", ".html")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -44,9 +45,11 @@ def joint_plan(cases: int, seed: int) -> list[JointCaseSpec]:
     singles, outsides = rng.permutation(list(ON_LIST)).tolist(), rng.permutation(list(OUTSIDE)).tolist()
     rigs = rng.permutation(RIGS).tolist()
     specs: list[JointCaseSpec] = []
+    before = Counter[str]()
     for k in range(cases):
         kind = MIX[k % len(MIX)]
-        count = sum(spec.kind == kind for spec in specs)
+        count = before[kind]
+        before[kind] += 1
         laws: tuple[str, ...] = ()
         if kind == "single":
             laws = (singles[count % len(singles)],)

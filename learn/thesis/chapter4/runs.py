@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,6 +13,7 @@ from ...policies.train import Plan
 from ...runs.folder import RunFolder
 from ...tasks.ppo_settings import PPOSettings, Preset
 from ...tasks.registry import TaskRegistry
+from ..common.kept import kept_rows
 
 Changes = tuple[str, ...]
 
@@ -163,10 +163,8 @@ def tested(
     how = {"sets": options.sets, "worlds": options.worlds, "seed": options.seed, "device": options.device}
     about = {"task": TASK, "iteration": options.ppo(registry).iterations, **how}
     file = folder.path / files_of(changes=changes)[0]
-    kept = json.loads(file.read_text()) if file.exists() else {}
     episodes = file.with_suffix(".npz")
-    same = {name: kept.get(name) for name in about} == about and episodes.exists()
-    if same and [row["policy"] for row in kept["rows"]][1:] == [*beside]:
+    if kept_rows(file, about, beside) is not None and episodes.exists():
         advance(options.sets * (1 + len(beside)))
     else:
         evaluate(folder.path, registry, **how, baselines=beside, changes=changes, progress=advance)  # type: ignore[arg-type]

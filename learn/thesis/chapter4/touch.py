@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+from pydantic import TypeAdapter
 
+from ....sim.base.json_file import read_object
 from ...runs.folder import replace_text
+from ...runs.schema import validated
 from ...touch.crossval import FOLDS, left_out
 from ...touch.evaluation import evaluate
 from ...touch.model import Kind
@@ -19,6 +22,8 @@ from ...touch.scores import pooled, roc
 
 RECORDINGS, OUTCOME = "recordings", "outcome.json"
 KINDS: tuple[Kind, ...] = get_args(Kind)
+_OUTCOME = "what bough reproduce wrote (without the file it is made again)"
+_TOLD = TypeAdapter(dict[str, dict[str, Any]])
 _GRID = np.linspace(0.0, 1.0, 101)
 
 
@@ -37,7 +42,7 @@ def told(folder: Path, rounds: int, seed: int, advance: Callable[[int], None]) -
     """
     about = {"rounds": rounds, "seed": seed}
     kept = folder / OUTCOME
-    found: dict[str, Any] = json.loads(kept.read_text()) if kept.exists() else {}
+    found = read_object(kept, _OUTCOME) if kept.exists() else {}
     if found.get("about") != about:
         folder.mkdir(parents=True, exist_ok=True)
         record(folder / RECORDINGS, Settings(rounds=rounds, seed=seed), advance)
@@ -46,7 +51,7 @@ def told(folder: Path, rounds: int, seed: int, advance: Callable[[int], None]) -
         replace_text(kept, json.dumps(found, indent=1) + "\n")
     else:
         advance(rounds + FOLDS * len(KINDS))
-    out: dict[str, dict[str, Any]] = found["kinds"]
+    out: dict[str, dict[str, Any]] = validated(_TOLD, found.get("kinds"), kept, "kinds", _OUTCOME)
     return out
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ from ...runs.folder import RunFolder
 from ...tasks.measures import CLEARING_COLUMNS
 from ...tasks.ppo_settings import PRESETS, PPOSettings, Preset
 from ...tasks.registry import TaskRegistry
+from ..common.kept import EVALUATION, kept_rows
 
 COLUMNS = tuple(column.name for column in CLEARING_COLUMNS)
 """Columns of table 5.2 that are measured on test sets."""
@@ -167,13 +167,16 @@ def outcome(folder: RunFolder, options: Options, run: Run, registry: TaskRegistr
     how = {"sets": sets, "worlds": options.worlds, "seed": options.seed, "device": options.device}
     about = {"task": TASK, "iteration": options.ppo.iterations, **how}
     file = folder.path / JSON
-    kept = json.loads(file.read_text()) if file.exists() else {}
-    if {name: kept.get(name) for name in about} == about and [r["policy"] for r in kept["rows"]][1:] == [*beside]:
+    rows = kept_rows(file, about, beside)
+    if rows is not None:
         advance(sets * (1 + len(beside)))
     else:
         evaluate(folder.path, registry, **how, baselines=beside, progress=advance)  # type: ignore[arg-type]
-        kept = json.loads(file.read_text())
-    return {row["policy"]: _row_of(row) for row in kept["rows"]}
+        rows = kept_rows(file, about, beside) or []
+    try:
+        return {row["policy"]: _row_of(row) for row in rows}
+    except (KeyError, TypeError, IndexError) as error:
+        raise InputError(file, "rows", f"numbers that do not fit ({str(error)[:60]})", EVALUATION) from None
 
 
 def _row_of(kept: dict[str, Any]) -> Row:

@@ -5,7 +5,7 @@ import pytest
 from bough.sim.effects import effect_of
 from oracles.turned_joint import turner
 
-along_path = turner(effect_of("hysteresis_boucwen").branch.law)
+along_path = turner(effect_of("hysteresis_boucwen").branch.law, memory=2)
 Y, STEPS = 0.05, 4000
 
 
@@ -118,3 +118,24 @@ def test_of_twist_a_share_counts(twist):
     out, less = turned(path, 2.0, 0.3, 0.8, twist), turned(share * path, 2.0, 0.3, 0.8)
     np.testing.assert_allclose(out, share * less, atol=2e-6)
     assert np.abs(out - turned(path, 2.0, 0.3, 0.8)).max() > 0.1 * Y
+
+
+def test_two_sliders_are_the_sum_of_two():
+    """Turn in space with two shares of two yields, and by each alone: their torques add, and each alone is a slider."""
+    t = np.linspace(0, 12, STEPS)[:, None]
+    path = 0.1 * np.sin(t * np.array([1.0, 1.4, 0.7]))
+    form = (1.5, 0.8, 0.3, 0.4)
+    first, second = along_path(path, 0.6, Y, *form), along_path(path, 1.7, 3 * Y, *form)
+    both = along_path(path, 0.6, Y, *form, 1.0, 1.7, 3 * Y)
+    np.testing.assert_allclose(both, first + second, atol=1e-6)
+    np.testing.assert_allclose(along_path(path, 0.0, Y, *form, 1.0, 1.7, 3 * Y), second, atol=1e-6)
+    assert np.abs(both - first).max() > 0.1 * Y
+
+
+def test_two_sliders_in_a_loop_are_iwan_s():
+    """Turn four yields and back by two sliders of exponent two: the closed forms of both, added by their shares."""
+    path, shares, yields = to_and_fro(4 * Y), (0.7, 0.4), (Y, 2.5 * Y)
+    out = along_path(path[:, None] * np.array([1.0, 0.0, 0.0]), shares[0], yields[0], 2.0, 1.0, 0.0, 1.0, 1.0,
+                     shares[1], yields[1])[:, 0]  # fmt: skip
+    expected = sum(a * y / Y * slid(path * Y / y, 2.0) for a, y in zip(shares, yields, strict=True))
+    np.testing.assert_allclose(out, -expected, atol=sum(shares) * CLOSE)

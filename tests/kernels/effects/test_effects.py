@@ -577,7 +577,7 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
     at_joint, elsewhere = ("hysteresis_boucwen", "plastic_set"), ("wind_gust", "steady_wind", "time_delay", "tip_mass")
     elsewhere += ("gravity_comp_error", "force_scale")
     acting = (*(Acting(n, 0) for n in at_joint), *(Acting(n) for n in elsewhere))
-    at_values = [0.3, 0.05, 1.4, 0.7, 0.3, 0.6, 0.4, 0.4, 0.05, 0.5, 0.3, 0.1]
+    at_values = [0.3, 0.05, 1.4, 0.7, 0.3, 0.6, 0.4, 0.2, 0.1, 0.4, 0.05, 0.5, 0.3, 0.1]
     other_values = [20.0, 30.0, -20.0, 5.0, 0.9, 0.3, 0.4, 0.3, 0.2, 7.0, 10.0, 5.0, -5.0, 0.6, 0.2, 0.5]
     other_values += [0.7, 0.4, 0.3]
     other_values += [0.01, 0.015, 0.02, 0.03, -0.01, 0.4]
@@ -588,6 +588,6 @@ def test_worlds_in_lanes_equal_worlds_alone(tmp_path, monkeypatch):
         monkeypatch.setattr("bough.learn.replay.worlds.simd_width", lambda w=width: w)
         rollout = Rollout(case, recordings(case), 2, unknowns=Unknowns(effects=acting))
         order = [p.name for p in rollout.system.parameters]
-        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 50
+        assert order[2] == "hysteresis_boucwen@0 share" and len(order) == 52
         outs.append(rollout(values.repeat(2, 1)).clone())
     assert (outs[0] == outs[1]).all() and torch.isfinite(outs[0]).all()

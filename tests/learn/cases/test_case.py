@@ -119,6 +119,7 @@ BRANCH_ERRORS = {
     "not finite": (("gravity_mps2",), float("nan"), ["gravity_mps2", "nan", "finite"]),
     "short vector": (("base_position_m",), [0.0, 0.0], ["base_position_m", "3 items"]),
     "grasp": (("grasp", "segment"), "twig", ["grasp segment", "'twig'", "parent, child"]),
+    "grasp by number": (("grasp", "segment"), 1, ["grasp segment", "'1'", "parent, child"]),
     "beyond": (("grasp", "distance_from_lower_end_m"), 0.6, ["distance_from_lower_end_m", "0.6", "0 to 0.5"]),
     "same name": (("segments", 1, "name"), "parent", ["entry 2 name", "second time"]),
     "itself": (("trajectories", 1, "replicate_of"), 2, ["entry 2 replicate_of", "itself"]),
@@ -276,6 +277,32 @@ def test_damaged_file_is_refused(tmp_path: Path, kind: str) -> None:
     """Every damage to a CSV is named with its line as an editor counts it and its column."""
     text = line(write_branch(tmp_path / "c", first=damaged(table(BRANCH_COLUMNS), kind)))
     assert "a.csv" in text and all(part in text for part in FILE_ERRORS[kind]), text
+
+
+@pytest.mark.parametrize("first", [1, 4, 7], ids=["force", "displacement", "velocity"])
+@pytest.mark.parametrize(
+    ("factor", "words"), [(1e-300, "in all"), (1e-14, "in all"), (1e30, "up to 1e+15"), (1e300, "up to 1e+15")]
+)
+def test_branches_that_single_precision_cannot_square(tmp_path: Path, first: int, factor: float, words: str) -> None:
+    """Refuse a quantity of a branch, all its axes or none of them within what can be computed with; name a column."""
+    rows = table(BRANCH_COLUMNS)
+    names = rows[0][first : first + 3]
+    spoilt = [[*r[:first], *(repr(float(x) * factor) for x in r[first : first + 3]), *r[first + 3 :]] for r in rows[1:]]
+    text = line(write_branch(tmp_path / "c", first=[rows[0], *spoilt]))
+    if first < 7 and factor > 1.0:
+        words = "in size"  # the bound on what is believed comes first
+    assert "a.csv" in text and words in text and any(f"column {name}" in text for name in names), text
+
+
+@pytest.mark.parametrize("first", [1, 4, 7], ids=["force", "displacement", "velocity"])
+@pytest.mark.parametrize("factor", [0.0, 1e-18], ids=["zero", "rounding"])
+def test_an_axis_along_which_nothing_happens_is_no_fault(tmp_path: Path, first: int, factor: float) -> None:
+    """Load a branch that is still along one axis, to the bit or to rounding, and one of zeros alone."""
+    rows = table(BRANCH_COLUMNS)
+    still = [[*r[:first], repr(float(r[first]) * factor), *r[first + 1 :]] for r in rows[1:]]
+    load_case(write_branch(tmp_path / "axis", first=[rows[0], *still]))
+    none = [[*r[:first], *("0" for _ in range(3)), *r[first + 3 :]] for r in rows[1:]]
+    load_case(write_branch(tmp_path / "none", first=[rows[0], *none]))
 
 
 def test_planar_case_with_sideways_motion(tmp_path: Path) -> None:

@@ -109,7 +109,7 @@ def test_episodes_of_sets_are_joined_written_and_read(tmp_path):
     np.testing.assert_array_equal(back.measures["success"], [1, 0, 0, 0])
     np.testing.assert_array_equal(back.kinds["hard"], both.kinds["hard"])
     (tmp_path / "text.npz").write_text("no")
-    for name, policy, words in (("e.npz", "zero", "zero: found no episodes"), ("text.npz", "trained", "no file of"),
+    for name, policy, words in (("e.npz", "zero", "zero: found no episodes"), ("text.npz", "trained", "no whole .npz"),
                                 ("none.npz", "trained", "no such file")):  # fmt: skip
         with pytest.raises(InputError, match=words):
             read_episodes(tmp_path / name, policy)

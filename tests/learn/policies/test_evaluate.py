@@ -19,7 +19,7 @@ from bough.learn.tasks.measures import CLEARING_COLUMNS
 from bough.learn.tasks.task import unseen_seed
 from bough.sim.base.errors import InputError
 from oracles import json_page
-from oracles.reach.task import LENGTH, ReachSettings, registry
+from oracles.reach.task import LENGTH, Crowded, Reach, ReachSettings, registry
 from oracles.reach.train import short_run
 
 COLUMNS = tuple(column.name for column in CLEARING_COLUMNS)
@@ -131,6 +131,20 @@ def test_command_writes_and_prints_the_table(run, capsys):
     assert alone[0].sets[1]["Test Rew"] == rows["trained"]["Test Rew"]["sets"][1]
 
 
+def test_contacts_without_room_are_told_of_every_policy(run, tmp_path):
+    """Count those of the test's own steps: seven a step of two sets' episodes, in JSON and in the table's last column.
+
+    The counter begins at 100: what was left out before a test is not the policy's.
+    """
+    shutil.copytree(run, tmp_path / "run")
+    assert Evaluate(tmp_path / "run", sets=2, worlds=4, device="cpu").run(registry(kind=Crowded)) == 0
+    rows = json.loads((tmp_path / "run" / "evaluation.json").read_text())["rows"]
+    assert {row["policy"]: row["No room"] for row in rows} == dict.fromkeys(("trained", "zero", "random"), 14 * LENGTH)
+    head, _, *body = (tmp_path / "run" / "evaluation.md").read_text().splitlines()
+    assert head.split("|")[-2].strip() == "No room"
+    assert [line.split("|")[-2].strip() for line in body if line.startswith("|")] == [str(14 * LENGTH)] * 3
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -196,6 +210,20 @@ def test_pictures_of_policies_without_a_run(tmp_path, capsys):
     assert not np.array_equal(last, pictures[0])
 
 
+def test_a_film_tells_contacts_without_room(tmp_path, capsys):
+    """Say them in the sentence and in JSON, 100 of the start and seven a step; a task without contact has none."""
+    crowded = 100 + 7 * LENGTH
+    for kind, told, found in ((Crowded, f", {crowded} contacts without room, ", crowded), (Reach, "pictures", 0)):
+        for json_ in (False, True):
+            out = tmp_path / f"{kind.__name__}_{json_}"
+            play = Play("zero", out, task="reach", fps=5.0, device="cpu", json=json_)
+            assert play.run(registry(kind=kind)) == 0
+            said = capsys.readouterr().out
+            assert json_ or (told in said and ("without room" in said) == bool(found))
+        assert json.loads(said)["contacts_without_room"] == found
+    json_page.check("play", json.loads(said))
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -203,7 +231,12 @@ def test_pictures_of_policies_without_a_run(tmp_path, capsys):
         ({"policy": "zero", "task": "fly"}, "found fly; allowed: reach"),
         ({"policy": "nowhere"}, "found no such folder"),
         ({"policy": "zero", "task": "reach", "fps": 0.0}, "--fps: found 0"),
+        ({"policy": "zero", "task": "reach", "fps": 5e-324}, "--fps: found 4.94066e-324; allowed: 0.01 to 50"),
+        ({"policy": "zero", "task": "reach", "fps": math.nan}, "--fps: found nan"),
         ({"policy": "zero", "task": "reach", "seconds": -1.0}, "--seconds: found -1"),
+        ({"policy": "zero", "task": "reach", "seconds": 1e308}, "--seconds: found 1e+308; allowed: above 0, up to"),
+        ({"policy": "zero", "task": "reach", "seconds": math.inf}, "--seconds: found inf"),
+        ({"policy": "zero", "task": "reach", "seconds": math.nan}, "--seconds: found nan"),
         ({"policy": "zero", "task": "reach", "seed": -1}, "--seed: found -1"),
     ],
 )

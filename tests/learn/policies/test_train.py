@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+import os
 import re
 import shutil
 import subprocess
@@ -15,10 +16,12 @@ import numpy as np
 import pytest
 import torch
 from bough.cli.evaluate import Evaluate
+from bough.cli.export import Export
 from bough.cli.play import Play
 from bough.cli.train import Train
 from bough.learn.policies.ppo_runner import InPlacePPO, Runner
 from bough.learn.policies.train import LostError, Plan, Trainer, train
+from bough.learn.policies.train_report import content
 from bough.learn.runs.folder import MODEL, RunFolder
 from bough.learn.runs.processes import Processes
 from bough.learn.tasks.measures import CLEARING_COLUMNS
@@ -30,7 +33,7 @@ from bough.learn.tasks.task import policy_seed, task_seed, unseen_seed
 from bough.sim.base.errors import InputError
 from bough.sim.base.extras import install_hint
 from bough.sim.wood.posterior import SpringPosterior, Wood
-from oracles.reach.task import LENGTH, Reach, ReachSettings, best_return, registry
+from oracles.reach.task import LENGTH, Crowded, Reach, ReachSettings, best_return, registry
 from oracles.reach.train import TINY
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -307,6 +310,16 @@ def test_metrics_are_means_over_finished_episodes(whole):
         assert row["collect_seconds"] > 0
 
 
+def test_contacts_without_room_are_told_iteration_by_iteration(tmp_path):
+    """Write seven a step of every iteration's eight, not those of before, resumed or not; the report adds them up."""
+    train(plan(iterations=3), tmp_path / "run", registry(kind=Crowded))
+    train(plan(), tmp_path / "run", registry(kind=Crowded), resume=True)
+    folder = RunFolder(tmp_path / "run")
+    told = [row["contacts_without_room"] for row in folder.metrics()]
+    assert told == [7 * SMALL.horizon] * SMALL.iterations
+    assert {n.label: n.value for n in content(folder).numbers}["Contacts without room"] == sum(told)
+
+
 def test_a_loss_that_is_not_finite_ends_the_run(tmp_path, capsys, monkeypatch, tiny):
     """Stop with exit code 3 and a line, the checkpoint from before untouched."""
     after = Trainer._after
@@ -386,35 +399,60 @@ def configured(folder, **changes) -> None:
     (folder.parents[1] / "config.json").write_text(json.dumps({**config_of_run(folder), **changes}))
 
 
+def piped(file) -> None:
+    """Put a pipe, which nobody writes to, in a file's place."""
+    file.unlink()
+    os.mkfifo(file)
+
+
+#: What is spoilt of the policy itself, so that nobody can use it.
+POLICY = [
+    (lambda c: damaged(c / "model.pt"), "a damaged checkpoint"),
+    (lambda c: (c / "model.pt").write_bytes((c / "model.pt").read_bytes()[:1000]), "a damaged checkpoint"),
+    (lambda c: (c / "model.pt").unlink(), "model.pt: found no such file"),
+    (lambda c: (c / "model.sha256").write_bytes(b"\xff"), "a damaged checkpoint"),
+    (lambda c: piped(c / "model.pt"), "model.pt: found a device or a pipe"),
+    (lambda c: piped(c / "model.sha256"), "model.sha256: found a device or a pipe"),
+    (lambda c: piped(c / "manifest.json"), "manifest.json: found a device or a pipe"),
+    (lambda c: (c / "manifest.json").write_text("{"), "not JSON"),
+    (lambda c: (c / "manifest.json").write_text("[]"), "JSON without fields"),
+    (lambda c: (c / "manifest.json").write_text('{"n": ' + "9" * 5000 + "}"), "a number of too many digits"),
+    (lambda c: (c.parents[1] / "config.json").write_text("{}"), "bough-run/1"),
+    (with_code, "not a checkpoint"),
+    (lambda c: kept(c, "model", [1.0, 2.0]), r"model\.pt: found not a checkpoint \(list\)"),
+    (lambda c: kept(c, "model", torch.zeros(3)), r"model\.pt: found not a checkpoint \(Tensor\)"),
+    (lambda c: kept(c, "model", {"actor_state_dict": {"x": torch.tensor([math.nan])}}), "not finite"),
+    (lambda c: noted(c, iteration=-5), r"manifest\.json: iteration: found -5; allowed: greater than or equal to 0"),
+    (lambda c: noted(c, iteration="6"), "iteration: found '6'; allowed: a valid integer"),
+    (lambda c: noted(c, iteration=None), "iteration: found null"),
+    (lambda c: noted(c, iteration=math.nan), "iteration: found"),
+    (lambda c: noted(c, iteration=4), "iteration: found 4; allowed: 6, as its folder is called"),
+    (lambda c: noted(c, iteration=...), "iteration: found no such key"),
+    (lambda c: (c / "manifest.json").write_text("[" * 100_000), "nested too deeply|not JSON"),
+    (lambda c: configured(c, seed="0"), r"config\.json: seed: found '0'; allowed: a valid integer"),
+    (lambda c: configured(c, task=[]), r"config\.json: task: found \[\]"),
+    (lambda c: configured(c, ppo={**config_of_run(c)["ppo"], "hidden": "wide"}), "hidden: found 'wide'"),
+    (lambda c: configured(c, versions=None), "versions: found null"),
+]
+#: Networks that are none.
+NETWORKS = (
+    {}, {"actor_state_dict": None}, {"actor_state_dict": 3}, {"actor_state_dict": {}},
+    {"actor_state_dict": {"mlp.0.weight": torch.zeros(2, 2)}}, {"actor_state_dict": {"mlp.0.weight": "text"}},
+    {"actor_state_dict": {1: torch.zeros(2)}},
+)  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda c: damaged(c / "model.pt"), "a damaged checkpoint"),
+        *POLICY,
+        *((lambda c, n=n: kept(c, "model", n), "states that do not fit") for n in NETWORKS),
         (lambda c: damaged(c / "rank-0.pt"), "a damaged checkpoint"),
-        (lambda c: (c / "model.pt").write_bytes((c / "model.pt").read_bytes()[:1000]), "a damaged checkpoint"),
         (lambda c: (c / "rank-0.pt").unlink(), "no such file"),
-        (lambda c: (c / "model.sha256").write_bytes(b"\xff"), "a damaged checkpoint"),
-        (lambda c: (c / "manifest.json").write_text("{"), "not JSON"),
-        (lambda c: (c / "manifest.json").write_text("[]"), "JSON without fields"),
-        (lambda c: (c.parents[1] / "config.json").write_text("{}"), "bough-run/1"),
-        (with_code, "not a checkpoint"),
-        (lambda c: kept(c, "model", [1.0, 2.0]), r"model\.pt: found not a checkpoint \(list\)"),
-        (lambda c: kept(c, "model", torch.zeros(3)), r"model\.pt: found not a checkpoint \(Tensor\)"),
-        (lambda c: kept(c, "model", {"actor_state_dict": {"x": torch.tensor([math.nan])}}), "not finite"),
-        (lambda c: kept(c, "model", {}), "states that do not fit"),
+        (lambda c: piped(c / "rank-0.pt"), "rank-0.pt: found a device or a pipe"),
         (lambda c: kept(c, "rank-0", {}), "states that do not fit"),
         (lambda c: kept(c, "rank-0", {"task": 3, "random": None, "steps": 1}), "states that do not fit"),
-        (lambda c: noted(c, iteration=-5), r"manifest\.json: iteration: found -5; allowed: greater than or equal to 0"),
-        (lambda c: noted(c, iteration="6"), "iteration: found '6'; allowed: a valid integer"),
-        (lambda c: noted(c, iteration=None), "iteration: found null"),
-        (lambda c: noted(c, iteration=math.nan), "iteration: found"),
-        (lambda c: noted(c, iteration=4), "iteration: found 4; allowed: 6, as its folder is called"),
-        (lambda c: noted(c, iteration=...), "iteration: found no such key"),
-        (lambda c: (c / "manifest.json").write_text("[" * 100_000), "nested too deeply|not JSON"),
-        (lambda c: configured(c, seed="0"), r"config\.json: seed: found '0'; allowed: a valid integer"),
-        (lambda c: configured(c, task=[]), r"config\.json: task: found \[\]"),
-        (lambda c: configured(c, ppo={**config_of_run(c)["ppo"], "hidden": "wide"}), "hidden: found 'wide'"),
-        (lambda c: configured(c, versions=None), "versions: found null"),
+        (lambda c: (c.parents[1] / "metrics.csv").write_bytes(b"iteration\n\xff\n"), "metrics.csv: byte 10"),
     ],
 )
 def test_corrupt_checkpoints_are_refused_and_left_alone(whole, tmp_path, spoil, words):
@@ -428,6 +466,35 @@ def test_corrupt_checkpoints_are_refused_and_left_alone(whole, tmp_path, spoil, 
     assert "\n" not in str(error.value) and str(out) in str(error.value)
     assert before == {p: p.read_bytes() for p in out.rglob("*") if p.is_file()}
     assert not (tmp_path / "executed").exists()
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda run, out: Evaluate(run, sets=1, worlds=2, baselines=(), device="cpu"),
+        lambda run, out: Play(str(run), out, seconds=0.1, device="cpu"),
+        lambda run, out: Export(run, out),
+    ],
+    ids=["evaluate", "play", "export"],
+)
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        *POLICY,
+        *((lambda c, n=n: kept(c, "model", n), "a network that does not fit|a damaged network") for n in NETWORKS),
+    ],
+)
+def test_corrupt_policies_are_refused_by_whoever_uses_them(whole, tmp_path, use, spoil, words):
+    """Name the file in one line, run nothing of it, write nothing."""
+    run, out = tmp_path / "run", tmp_path / "out"
+    shutil.copytree(whole, run)
+    spoil(run / "checkpoints" / "000006")
+    before = {p: p.read_bytes() for p in run.rglob("*") if p.is_file()}
+    with pytest.raises(InputError, match=words) as error:
+        use(run, out).run(registry())
+    assert "\n" not in str(error.value) and str(run) in str(error.value)
+    assert before == {p: p.read_bytes() for p in run.rglob("*") if p.is_file()}
+    assert not out.exists() and not (tmp_path / "executed").exists()
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,13 @@ from bough.learn.gap.diagnosis import Settings
 from bough.learn.probing.folder import Folder
 from bough.learn.probing.hand import ForceError, Hand, Ways
 from bough.learn.probing.loop import GENTLER, Budget, Prober
+from bough.learn.probing.rounds import Finding
 from bough.learn.probing.structure import read_structure
 from bough.learn.robot.limits import default_limits
 from bough.learn.robot.stepped import SteppedRobot
 from bough.learn.robot.twin_branch import BranchTwin
 from bough.sim.arms.jaco2 import jaco2
+from bough.sim.base.errors import InputError
 
 ARM = jaco2()
 
@@ -65,3 +67,15 @@ def test_a_branch_that_pulls_too_hard_always_ends_it(prober, monkeypatch):
     with pytest.raises(ForceError, match="10 N are allowed"):
         own._pulled(1, own._planned(1, 0))
     assert len(tried) == GENTLER + 1 and not folder.recording(1, 1).exists()
+
+
+def test_pulls_of_other_menus_are_refused(prober):
+    """Name the file of a plan, or of a round, with a pull that this arm does not have."""
+    own, _, folder = prober
+    own._prepare()
+    plan = {**own._planned(1, 0), "pull": "a leap"}
+    with pytest.raises(InputError, match=r"plan_1\.json: pull: found 'a leap'; allowed: "):
+        own._pulled(1, plan)
+    folder.set_finding(1, Finding(2, "effects", propose="a leap"))
+    with pytest.raises(InputError, match=r"round_1\.json: propose: found 'a leap'; allowed: "):
+        own._planned(2, 2)

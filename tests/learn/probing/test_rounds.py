@@ -54,4 +54,4 @@ def test_a_plan_says_why(gain, words):
     """Name what a pull is for: it confirms, or adds against the rival; a line of progress says the same."""
     found = Finding(3, "effects", ("tip_mass",), ("tip_mass",), lead=50.0, propose="pull", gain=gain)
     assert words in because(found) and because(found) in spoken(found)
-    assert Finding.of_json(found.as_json()) == found
+    assert Finding.of_json(found.as_json(), "round_1.json") == found

@@ -43,4 +43,4 @@ def test_an_interval_that_is_asked_for():
 def test_a_finding_survives_its_file():
     """Read back what was written, an infinite interval too."""
     for finding in (named("dry_friction", 20), NONE, UNKNOWN):
-        assert Finding.of_json(finding.as_json()) == finding
+        assert Finding.of_json(finding.as_json(), "round_1.json") == finding

@@ -286,7 +286,7 @@ def test_a_replay_does_not_remember_the_one_before(tmp_path, form):
 BRANCH_TRUTH = {
     "cubic_stiffness": (6.0, 0.5, 0.3),
     "dry_friction": (0.25, 0.004, 0.4, 0.5, 0.8, 0.5, 0.1),
-    "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6, 1.0, 0.5),
+    "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6, 1.0, 0.5, 0.4, 0.15),
     "quadratic_drag": (25.0, 0.4, 0.3, 0.6, 0.2),
     "viscoelastic_sls": (0.5, 0.3, 0.4, 0.04, 0.5),
     "tip_mass": (0.2, 0.05, -0.03, 0.4),

@@ -8,6 +8,7 @@ import pytest
 import torch
 import warp as wp
 from bough.kernels.tasks import parts as kernels
+from bough.learn.policies.crowding import contacts_without_room
 from bough.learn.tasks.clearing import make_task
 from bough.learn.tasks.clearing_parts import clearing_parts
 from bough.learn.tasks.names import CLEARING
@@ -387,6 +388,17 @@ def test_in_tests_the_arm_does_not_pass_through_itself():
     contacts = task.simulator.contacts
     assert contacts.arm_arm and contacts.branch_branch and contacts.ground is not None
     assert contacts.ground <= float(task.scene.root[:, 2].min())
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_room_for_contacts_follows_the_scene(preset):
+    """In tests two contacts find room for every capsule of arm and branches; what finds none is told of the task."""
+    task = make(settings=PRESETS[preset], worlds=4, test=True)
+    capsules = task.simulator.capsules.radius.shape[1]
+    assert task.simulator._touch.record.shape == (4, 2 * capsules) and 2 * capsules > 32
+    assert contacts_without_room(task) == 0
+    task.simulator.overflow[2] = 7
+    assert contacts_without_room(task) == 7
 
 
 # ---- memory and resume ---------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import torch
 import warp as wp
 from bough.kernels.tasks import parts as kernels
 from bough.kernels.tasks.control import LAWS, drive
+from bough.learn.policies.crowding import contacts_without_room
 from bough.learn.tasks.clearing import make_reach
 from bough.learn.tasks.reach_parts import reach_parts
 from bough.learn.tasks.reach_settings import POLICIES, ReachSettings, columns_of
@@ -278,6 +279,23 @@ def test_every_world_has_a_tree_of_its_own(options, stiffest):
             np.testing.assert_allclose(by_level[1], 100.0)
             np.testing.assert_allclose(by_level[2], 50.0)
             np.testing.assert_allclose(tree.damping[moving & (tree.level == 1)], 20.0)
+
+
+def test_all_contacts_are_on_in_tests_alone(env):
+    """In training arm and branches touch; in tests the arm itself, branches each other and all a ground below them too.
+
+    There is no line in this task. Two contacts find room in a test for every capsule of arm and branches.
+    """
+    contacts = env.simulator.contacts
+    assert contacts.arm_branch and not (contacts.arm_arm or contacts.branch_branch or contacts.arm_line)
+    assert contacts.ground is None
+    task = make_reach("reach", SMALL, num_envs=WORLDS, seed=0, test=True)
+    contacts, capsules = task.simulator.contacts, task.simulator.capsules.radius.shape[1]
+    assert contacts.arm_branch and contacts.arm_arm and contacts.branch_branch and not contacts.arm_line
+    assert contacts.ground is not None and contacts.ground <= float(task.foot[:, 2].min())
+    assert task.simulator._touch.record.shape == (WORLDS, 2 * capsules) and 2 * capsules > 32
+    task.simulator.overflow[2] = 7
+    assert contacts_without_room(task) == 7
 
 
 def test_episodes_end_near_the_target_in_training_alone(env):

@@ -208,7 +208,7 @@ def changed(path: Path, out: Path, **change) -> Path:
         ({"mean": np.zeros((3, 5))}, "no friction model"),
         ({"threshold": np.array(1.5)}, "threshold"),
         ({"classifier_child": np.zeros(5, np.int32)}, "no trees"),
-        ({"trained_on": np.array([{}], dtype=object)}, "no file of plain arrays"),
+        ({"trained_on": np.array([{}], dtype=object)}, "no whole .npz archive of plain arrays"),
     ],
 )
 def test_models_that_are_none_are_refused(trained, tmp_path, change, said):

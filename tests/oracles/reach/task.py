@@ -8,6 +8,7 @@ as a simulator's are; random numbers come from a generator of the task's own.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import torch
@@ -111,12 +112,28 @@ class Reach(VecEnv):
         return picture
 
 
-def registry(version: int = 1) -> TaskRegistry:
+class Crowded(Reach):
+    """The task with a simulator's counter beside it: every step seven more contacts find no room, after 100 before."""
+
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        self.without_room = torch.tensor(100)
+        self.simulator = SimpleNamespace(without_room=self.without_room)
+
+    def step(self, actions):
+        self.without_room += 7
+        return super().step(actions)
+
+    def snapshot(self):
+        return super().snapshot() | {"without_room": self.without_room.clone()}
+
+
+def registry(version: int = 1, kind: type[Reach] = Reach) -> TaskRegistry:
     """Return a registry with this task alone; ``version`` is the version it says it has."""
 
     def make(name, settings, **arguments):
         assert name == "reach"
-        return Reach(settings, **arguments, version=version)
+        return kind(settings, **arguments, version=version)
 
     presets = {"cpu": ReachSettings(), "gpu": ReachSettings()}
     return TaskRegistry((TaskKind(("reach",), ("place", "time"), presets, make, CLEARING_COLUMNS),))

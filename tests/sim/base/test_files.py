@@ -6,8 +6,9 @@ import sys
 
 import pytest
 from bough.sim.base.errors import InputError
-from bough.sim.base.files import check_output, output_folder, read_text
+from bough.sim.base.files import check_output, output_folder, read_bytes, read_text
 from bough.sim.base.host import check_memory, memory_bytes
+from bough.sim.base.json_file import object_of, read_object
 
 
 def test_what_never_ends_is_not_read(tmp_path):
@@ -66,3 +67,49 @@ def test_memory_is_compared_before_it_is_taken():
     for needed in (2.0 * memory_bytes(), float("inf"), float("nan")):
         with pytest.raises(InputError, match=r"--count: found many, about .* GiB; allowed: what fits into"):
             check_memory("--count", "many", needed)
+
+
+@pytest.mark.parametrize("read", [read_bytes, read_text, lambda path: object_of(read_text(path), path, "a file")])
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (os.mkfifo, "a device or a pipe"),
+        (lambda p: p.symlink_to("/dev/zero"), "a device or a pipe"),
+        (lambda p: p.mkdir(), "a folder"),
+        (lambda p: None, "no such file"),
+        (lambda p: p.symlink_to(p), "symbolic links"),
+    ],
+)
+def test_all_readers_refuse_what_is_no_file(tmp_path, read, make, words):
+    """Say in one line what is in a file's place."""
+    make(tmp_path / "odd")
+    with pytest.raises(InputError, match=f"odd: found .*{words}") as error:
+        read(tmp_path / "odd")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("data", [b"a\r\nb\rc\n", "a\nb\nc\n".encode("utf-16")])
+def test_text_is_read_whatever_ends_its_lines(tmp_path, data):
+    """Give one end of a line for all of them, in either encoding."""
+    (tmp_path / "text").write_bytes(data)
+    assert read_text(tmp_path / "text").splitlines() == ["a", "b", "c"] and "\r" not in read_text(tmp_path / "text")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "line 1: found text that is not JSON"),
+        ('{\n"a": 1,}', "line 2: found text that is not JSON"),
+        ("[" * 100_000, "found JSON that is nested too deeply"),
+        ("9" * 5000, "found a number of too many digits"),
+        ("[]", "found JSON without fields"),
+        ("null", "found JSON without fields"),
+    ],
+)
+def test_json_that_is_none(tmp_path, text, words):
+    """Name the line of a file; of a line that stands for itself name its number."""
+    (tmp_path / "x.json").write_text(text)
+    with pytest.raises(InputError, match=f"x.json: {words}; allowed: a record"):
+        read_object(tmp_path / "x.json", "a record")
+    with pytest.raises(InputError, match=f"x.jsonl: line 7: {words.partition(': ')[2] or words}; allowed: a record"):
+        object_of(text, tmp_path / "x.jsonl", "a record", 7)

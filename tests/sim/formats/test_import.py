@@ -515,11 +515,20 @@ def test_damaged_files_are_read_or_refused_in_one_line(tmp_path_factory, seed, u
         assert "\n" not in str(e)
 
 
-@pytest.mark.parametrize("suffix", ["xml", "urdf"])
-def test_elements_without_end_are_refused(tmp_path, suffix):
-    """Refuse 20,000 elements inside one another before any is compiled, in one line that says where."""
+@pytest.mark.parametrize(
+    ("suffix", "element", "count", "words"),
+    [
+        ("xml", "body", 20_000, "line 5000: found elements nested more than 5000 deep"),
+        ("urdf", "body", 20_000, "line 5000: found elements nested more than 5000 deep"),
+        ("xml", "default", 20_000, "line 5000: found elements nested more than 5000 deep"),
+        # fewer than bough's own bound, more than MuJoCo's
+        ("xml", "default", 3_000, r"line \d+, <default>: found XML parse error .* nesting is too deep"),
+    ],
+)
+def test_elements_without_end_are_refused(tmp_path, suffix, element, count, words):
+    """Refuse thousands of elements inside one another, in one line that says where; vast ones before any is read."""
     file = tmp_path / f"deep.{suffix}"
     root = "mujoco" if suffix == "xml" else "robot"
-    file.write_text(f"<{root}>" + "<body>\n" * 20_000 + "</body>" * 20_000 + f"</{root}>")
-    with pytest.raises(InputError, match=rf"deep\.{suffix}: line 5000: found elements nested more than 5000 deep"):
+    file.write_text(f"<{root}>" + f"<{element}>\n" * count + f"</{element}>" * count + f"</{root}>")
+    with pytest.raises(InputError, match=rf"deep\.{suffix}: {words}"):
         load_mjcf(file) if suffix == "xml" else load_urdf(file)
