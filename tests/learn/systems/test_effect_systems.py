@@ -269,7 +269,7 @@ def test_a_replay_does_not_remember_the_one_before(tmp_path, form):
     case = stick_case(tmp_path / "c", [push()]) if form == "branch" else swing_case(tmp_path / "c", [(0.3, 0.0)])
     rollout = Rollout(case, recordings(case), 1, unknowns=Unknowns(effects=(Acting("hysteresis_boucwen", 0),)))
     values = torch.tensor(
-        [[KS, DS, 0.6, 0.06, 1.4, 0.7, 0.6, 1.0, 0.5][: len(rollout.system.parameters)]], dtype=torch.float64
+        [[KS, DS, 0.6, 0.06, 1.4, 0.7, 0.6, 1.0, 0.5, 0.4, 0.02][: len(rollout.system.parameters)]], dtype=torch.float64
     )
     first = rollout(values).clone()
     for name in ("memory", "effort", "hold", "before", "gain", "ahead"):
@@ -286,7 +286,7 @@ def test_a_replay_does_not_remember_the_one_before(tmp_path, form):
 BRANCH_TRUTH = {
     "cubic_stiffness": (6.0, 0.5, 0.3),
     "dry_friction": (0.25, 0.004, 0.4, 0.5, 0.8, 0.5, 0.1),
-    "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6, 1.0, 0.5, 0.4, 0.15),
+    "hysteresis_boucwen": (0.6, 0.06, 1.4, 0.7, 0.6, 1.0, 0.5, 0.4, 0.02),
     "quadratic_drag": (25.0, 0.4, 0.3, 0.6, 0.2),
     "viscoelastic_sls": (0.5, 0.3, 0.4, 0.04, 0.5),
     "tip_mass": (0.2, 0.05, -0.03, 0.4),

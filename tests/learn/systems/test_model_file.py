@@ -65,6 +65,7 @@ def test_refinements_may_be_left_out(tmp_path):
     (tmp_path / "model.yaml").write_text(yaml.safe_dump(content))
     known = read_model(tmp_path / "model.yaml").effects[0].known
     refined = {"exponent": 2.0, "loading": 1.0, "separate": 0.0, "twist": 1.0, "kept": 1.0}
+    refined |= {"second_share": 0.0, "second_yield_rad": 1.0}
     assert known == {"share": 0.3, "yield_rad": 0.05} | refined
 
 
