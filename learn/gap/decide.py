@@ -200,9 +200,13 @@ def _misread(contest: Contest, model: Model, candidate: Candidate) -> bool:
     """
     if candidate.name != "force_bias" or not isinstance(contest.case, BranchCase):
         return False
-    read = np.stack([r.opened for r in contest.recordings])
-    own = _values(contest, model, candidate)
-    beside = np.array([own.get(f"force_{c}_N", 0.0) for c in "xyz"]) + (own["opened"] - 1.0) * read
+    seen = [r for r in contest.recordings if not r.contact.all()]  # an open gripper's force is read in these alone
+    if not seen:
+        return False
+    own, read = _values(contest, model, candidate), np.stack([r.opened for r in seen])
+    before = np.array([[r.t_start + 0.5 * float(r.t[-1]) < own["moment_s"]] for r in seen])
+    beside = np.array([own.get(f"force_{c}_N", 0.0) for c in "xyz"]) * (1.0 - own["changes"] * before)
+    beside = beside + (own["opened"] - 1.0) * read
     return 0.0 < MISREAD * float(np.linalg.norm(read)) < float(np.linalg.norm(beside))
 
 

@@ -92,3 +92,16 @@ def test_a_curved_sensor_is_read_back(tmp_path, curved):
     wanted = settled(stick(true)[0])
     np.testing.assert_allclose(settled(stick(read, force_scale=law)[0]), wanted, atol=2e-5 * np.abs(wanted).max())
     assert np.abs(settled(stick(read, force_scale=law | {"curved_pN": 0.0})[0]) - wanted).max() > 1e-3
+
+
+@pytest.mark.parametrize("changes", [1.0, 2.0, -1.0])
+def test_an_offset_may_jump_between_recordings(tmp_path, changes):
+    """Read an offset from the second of three recordings on, and before that 1 - e of it: take both off again."""
+    offset, forces = np.array([0.5, -0.4, 0.3]), [held(), held(force=-FORCE), held(force=0.5 * FORCE)]
+    true = stick_case(tmp_path / "a", forces, starts=[0.0, 10.0, 20.0])
+    read = [f + offset * (1.0 - changes * (k == 0)) for k, f in enumerate(forces)]
+    read = stick_case(tmp_path / "b", read, starts=[0.0, 10.0, 20.0])
+    bias = {f"force_{c}_N": b for c, b in zip("xyz", offset, strict=True)}
+    undone = stick(read, force_bias=bias | {"changes": changes, "moment_s": 7.0})
+    np.testing.assert_allclose(undone, stick(true), atol=3e-6)
+    assert np.abs(stick(read, force_bias=bias)[0] - undone[0]).max() > 1e-3

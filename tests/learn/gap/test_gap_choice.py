@@ -393,8 +393,13 @@ def test_an_offset_that_an_open_gripper_does_not_read_is_a_weight(offset, read, 
     fitted = turning({"force_bias": plain, "gravity_comp_error": plain}, (None, None), (1030.0, left), 0.5)
     contest = fitted.contest
     contest.case = BranchCase.__new__(BranchCase)
-    contest.recordings = [SimpleNamespace(opened=np.array([0.0, 0.0, read]))]
+    let_go, held = np.array([True, False]), np.array([True, True])  # nothing is read where it is never let go
+    contest.recordings = [
+        SimpleNamespace(opened=np.array([0.0, 0.0, own]), t=np.arange(2.0), t_start=start, contact=contact)
+        for own, start, contact in ((read, 0.0, let_go), (0.0, 5.0, held))
+    ]
     acting = Acting("force_bias", known={} if len(offset) == 4 else {"force_y_N": 0.0})
+    offset = [*offset, 0.0, 0.0]  # it does not jump
     contest.candidates[0] = Candidate(acting, tuple(range(len(offset))), effect_of("force_bias").branch)
     contest.values = lambda batch: torch.tensor([offset])
     biased, other = fitted.models

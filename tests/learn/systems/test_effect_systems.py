@@ -295,7 +295,7 @@ BRANCH_TRUTH = {
     "plastic_set": (0.4, 0.1, 0.6, 0.5, 0.1),
     "partial_rupture": (0.4, 0.3, 0.5, 0.2, 0.03, 0.05),
     "grasp_slip": (-0.05, 0.5, 0.2, 1.0, 0.3, 0.7, 100.0, 0.6, -1e9, 0.0),
-    "force_bias": (0.2, -0.3, 0.25, 0.5),
+    "force_bias": (0.2, -0.3, 0.25, 0.5, 0.4, 0.5),
     "force_scale": (1.3, 1.2, 0.9, 0.4, 9.0, 0.05),
     "time_delay": (0.03, 0.04),
     "steady_wind": (30.0, -40.0, 20.0, 0.4, 0.1, 0.3, 0.6, 20.7, 0.4),
@@ -306,7 +306,7 @@ BRANCH_TRUTH = {
     "bending_torsion_coupling": (0.4, 0.9, 1.0),
 }
 FIXED_AT_TRUTH = {
-    "force_bias": ("opened",),  # nothing is read of an open gripper
+    "force_bias": ("opened", "moment_s"),  # nothing is read of an open gripper; a jump, see test_effects
     "plastic_set": ("separate",),
     "hysteresis_boucwen": ("twist",),  # a stick that is pulled in its axis does not twist
     "backlash": ("twist",),
