@@ -11,7 +11,7 @@ import tyro
 from ..learn.gap import TOLERANCE
 from ..sim.base.console import bar, bars, shown, start_warp, tell, warn
 from ..sim.base.errors import InputError, check_seed
-from ..sim.base.files import check_output, output_folder
+from ..sim.base.files import output_folder
 from .base.exit_codes import ExitCode
 
 
@@ -47,7 +47,6 @@ class Diagnose:
 
     def run(self) -> int:
         """Diagnose the case and say what came out and where the report is."""
-        check_output(self.out)
         from ..learn.cases.arm import is_arm_case
         from ..learn.cases.case import load_case
         from ..learn.gap.diagnosis import Settings
@@ -133,7 +132,6 @@ class Exam:
     def run(self) -> int:
         """Hold the exam and print its table."""
         check_seed("exam", self.seed)  # said before torch is there
-        check_output(self.out)
         from ..learn.exam.hold import hold
 
         if self.held_back:

@@ -11,7 +11,7 @@ from ..learn.tasks.registry import TaskRegistry, known_tasks
 from ..learn.tasks.task import require_rsl_rl
 from ..sim.base.console import shown, tell
 from ..sim.base.errors import InputError
-from ..sim.base.files import check_output, output_folder
+from ..sim.base.files import output_folder
 from .base.exit_codes import ExitCode
 
 
@@ -37,7 +37,6 @@ class Export:
         require_rsl_rl()
         if not self.run_folder.is_dir():  # said before torch is there
             raise InputError(self.run_folder, "", "no such folder", "a folder that bough train wrote")
-        check_output(self.out)
         registry = registry or known_tasks()
         from ..learn.policies.evaluate import read_policy
         from ..learn.policies.export import export_policy

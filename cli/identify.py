@@ -10,7 +10,6 @@ import tyro
 
 from ..learn.samplers.registry import SAMPLERS
 from ..sim.base.console import bars, shown, start_warp, tell, warn
-from ..sim.base.files import check_output
 from .base.exit_codes import ExitCode
 
 
@@ -64,7 +63,6 @@ class Identify:
 
     def run(self) -> int:
         """Identify the case, say what came out and where the report is; return the exit code."""
-        check_output(self.out)
         from ..learn.cases.case import load_case
         from ..learn.inference.settings import Settings, default_iterations
 

@@ -15,6 +15,7 @@ import tyro
 
 from ..sim.base.console import dropped_ctrl_c_raised_again, warn
 from ..sim.base.errors import InputError
+from ..sim.base.files import check_output
 from ..version import __version__
 from .base.exit_codes import ExitCode
 from .check_law import CheckLaw
@@ -110,9 +111,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(command: Command) -> int:
+    _check_output(command)
     if isinstance(command, Simulate) and command.source.is_dir():
         return simulate_case(command)
     return command.run()
+
+
+def _check_output(command: Command) -> None:
+    """Refuse an output folder that cannot be, before anything is imported or made for it."""
+    chosen = next((part for part in vars(command).values() if hasattr(part, "run")), command)  # of a group of commands
+    out = getattr(chosen, "out", None)
+    if out is not None:
+        check_output(out)
 
 
 def _interrupted() -> int:

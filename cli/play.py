@@ -14,7 +14,7 @@ from ..learn.tasks.registry import TASKS, TaskRegistry, known_tasks
 from ..learn.tasks.task import require_rsl_rl, unseen_seed
 from ..sim.base.console import bar, shown, start_warp, tell
 from ..sim.base.errors import InputError, check_seed
-from ..sim.base.files import check_output, output_folder
+from ..sim.base.files import output_folder
 from .base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -93,7 +93,6 @@ class Play:
         if self.seconds is not None and not 0.0 < self.seconds <= LONGEST:
             raise InputError("play", "--seconds", f"{self.seconds:g}", f"above 0, up to {LONGEST:g}")
         check_seed("play", self.seed)
-        check_output(self.out)
 
     def _cast(self, registry: TaskRegistry) -> tuple[Task, Policy]:
         """Return the task with one world, and who acts in it."""

@@ -14,7 +14,6 @@ from ..learn.tasks.ppo_settings import Preset, preset_of
 from ..learn.tasks.registry import TaskRegistry, known_tasks
 from ..learn.tasks.task import require_rsl_rl
 from ..sim.base.console import bars, shown, start_warp, tell, warn
-from ..sim.base.files import check_output
 from .base.exit_codes import ExitCode
 
 
@@ -218,5 +217,4 @@ class Reproduce:
 
     def run(self) -> int:
         """Reproduce the chapter; return the exit code."""
-        check_output(self.chapter.out)
         return self.chapter.run()

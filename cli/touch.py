@@ -10,7 +10,7 @@ import tyro
 
 from ..sim.base.console import bar, shown, start_warp, tell
 from ..sim.base.errors import InputError, check_seed
-from ..sim.base.files import check_output, output_folder
+from ..sim.base.files import output_folder
 from .base.exit_codes import ExitCode
 
 MODEL = "model.npz"
@@ -44,7 +44,6 @@ class Record:
 
     def run(self) -> int:
         """Record, and say how much contact there is."""
-        check_output(self.out)
         start_warp()
         from ..learn.touch.record import Settings, record
         from ..learn.touch.sensor import JACO2, read_sensor
@@ -79,7 +78,6 @@ class Fit:
 
     def run(self) -> int:
         """Fit, and say the noise."""
-        check_output(self.out)
         from ..learn.touch.read import read_recordings
         from ..learn.touch.sensor import fit_sensor
 
@@ -116,7 +114,6 @@ class Train:
     def run(self) -> int:
         """Train, and say how well recordings left out are told."""
         check_seed("touch train", self.seed)
-        check_output(self.out)
 
         from ..learn.touch.forest import require_sklearn
         from ..learn.touch.read import read_recordings
@@ -172,7 +169,6 @@ class Evaluate:
     def run(self) -> int:
         """Test, and say what came out and where the report is."""
         check_seed("touch evaluate", self.seed)
-        check_output(self.out)
         if self.free is not None and self.model is None:
             raise InputError("touch evaluate", "--free", "no --model", "--model with it: leave one out fits its own")
         from ..learn.touch.read import read_recordings

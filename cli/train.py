@@ -17,7 +17,6 @@ from ..learn.tasks.task import require_rsl_rl
 from ..sim.arms.registry import ARMS
 from ..sim.base.console import bar, shown, start_warp, tell, warn
 from ..sim.base.errors import InputError, check_seed
-from ..sim.base.files import check_output
 from .base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -106,9 +105,8 @@ class Train:
         return ExitCode.DONE
 
     def _check(self) -> None:
-        """Raise `InputError` for numbers and a folder that cannot be, before torch is there."""
+        """Raise `InputError` for numbers that cannot be, before torch is there."""
         check_seed("train", self.seed or 0)
-        check_output(self.out)
         check_logger(self.logger)
         self._sized(PRESETS[self.preset or "cpu"]).check()
 

@@ -59,9 +59,7 @@ class Camera:
         from ...learn.cameras.open import open_source
         from ...learn.robot.access import read_token
         from ...sim.arms.jaco2 import jaco2
-        from ...sim.base.files import check_output
 
-        check_output(self.out)
         arm = jaco2(self.wrist)
         if len(self.joints) not in (0, arm.num_dofs):
             raise InputError("camera", "--joints", f"{len(self.joints)} numbers", f"{arm.num_dofs}, one a joint")

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from ...sim.base.console import bars, shown, start_warp, tell, warn
 from ...sim.base.errors import InputError
-from ...sim.base.files import check_output
 from ..base.exit_codes import ExitCode
 from .robot import Wrist
 
@@ -79,7 +78,6 @@ class Probe:
 
     def run(self) -> int:
         """Probe, and say what was found and where it is."""
-        check_output(self.out)
         from ...learn.gap.diagnosis import Settings
         from ...learn.probing.loop import Budget
         from ...learn.probing.structure import read_structure

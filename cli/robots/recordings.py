@@ -14,7 +14,6 @@ import tyro
 
 from ...sim.base.console import shown, tell, warn
 from ...sim.base.errors import InputError
-from ...sim.base.files import check_output
 from ..base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -272,7 +271,6 @@ class ImportArm:
 
     def run(self) -> int:
         """Make the case, say what was assumed; return the exit code."""
-        check_output(self.out)
         from ...learn.recordings.import_arm import import_arm
         from ...sim.arms.registry import ARMS
 

@@ -12,7 +12,6 @@ import yaml
 
 from ...sim.base.console import shown, start_warp, tell, warn
 from ...sim.base.errors import InputError, check_seed
-from ...sim.base.files import check_output
 from ..base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -81,7 +80,6 @@ class Serve:
 
     def run(self) -> int:
         """Serve; return 0 after Ctrl-C or SIGTERM."""
-        check_output(self.out)
         check_seed("robot serve", self.seed)
         if not 0.0 <= self.away <= 1000.0:
             raise InputError("robot serve", "--away", f"{self.away:g}", "0 to 1000 m")

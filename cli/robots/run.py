@@ -14,7 +14,6 @@ from ...learn.tasks.registry import TaskRegistry, known_tasks
 from ...learn.tasks.task import require_rsl_rl
 from ...sim.base.console import bar, shown, start_warp, tell, warn
 from ...sim.base.errors import InputError
-from ...sim.base.files import check_output
 from ..base.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -96,8 +95,6 @@ class Run:
                 raise InputError("run", name, f"{value:g}", f"{least:g} to {most:g}")
         if self.out is None and not self.dry_run:
             raise InputError("run", "--out", "nothing", "a folder to write to, or --dry-run")
-        if self.out is not None:
-            check_output(self.out)
         if self.dry_run and (self.episodes > 1 or self.film):
             raise InputError("run", "--dry-run", "with --episodes or --film", "one of them: nothing moves")
         if self.out is not None and (self.out / "run.csv").exists():
