@@ -359,6 +359,13 @@ def begun(t: Any, t0: Any, d: Any):
 
 
 @wp.func
+def changed(c: Any, t: Any, t0: Any, d: Any):
+    """1 - c (1 - x), x how far what begins at t0 and takes d has come by t: from 1 - c to 1."""
+    one = real(1.0, t)
+    return fma(c, begun(t, t0, d) - one, one)
+
+
+@wp.func
 def norm(v: Any):
     """|v|, above zero, so that it can be divided by."""
     o = real(0.0, v.x)

@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.lanes.algebra import add, begun, div, mul, sub
-from ...kernels.lanes.real import fma, real, where_neg
+from ...kernels.lanes.algebra import add, changed, div, mul, sub
+from ...kernels.lanes.real import real
 from .registry import Effect, EffectParameter, Law, Setting, moment_parameter, register
 
 #: Time that a jump of the offset takes [s], and how long before the recordings it may be.
@@ -16,10 +16,9 @@ JUMP, BEFORE = wp.constant(wp.float64(0.05)), 1.0
 def force_bias(g: Any, p: Any):
     """F = F_s - c (b (1 - e (1 - x)) + w o_j), c is 1 in contact, where the sensor is read.
 
-    o_j is what it reads of an open gripper; x rises from 0 to 1 at a moment (`begun`): with e = 1 b sets in then.
+    o_j is what it reads of an open gripper; x rises from 0 to 1 at a moment (`changed`): with e = 1 b sets in then.
     """
-    one = real(1.0, p.e)
-    share = fma(p.e, begun(g.time, p.f, real(JUMP, p.f)) - one, one)
+    share = changed(p.e, g.time, p.f, real(JUMP, p.f))
     return g.force - (type(g.force)(p.a, p.b, p.c) * share + g.opened * p.d) * g.contact
 
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ...kernels.lanes.algebra import add, begun, div, mul, norm, size, sub
-from ...kernels.lanes.real import fma, real, sqrt_, where_neg
+from ...kernels.lanes.algebra import add, changed, div, mul, norm, size, sub
+from ...kernels.lanes.real import real, sqrt_, where_neg
 from .flow import ACROSS, CROWN, SLOWNESS, STORM, across, felt
 from .registry import Effect, EffectParameter, Law, Setting, moment_parameter, register
 
@@ -32,11 +32,11 @@ def pressed(q: Any, most: Any, b: Any, m: Any, s: Any, k: Any):
 def steady_wind(b: Any, p: Any):
     """F of the pressure q (x, y, z) (1 - c (1 - x)), m of it across the segment, in air that flows at 1 / s.
 
-    x rises from 0 to 1 at a moment (`begun`), over `GROWING` at least: with c = 1 the wind sets in then, with c far
+    x rises from 0 to 1 at a moment (`changed`), over `GROWING` at least: with c = 1 the wind sets in then, with c far
     below zero it dies down.
     """
     q, one, least = type(b.velocity)(p.a, p.b, p.c), real(1.0, p.g), real(GROWING, p.i)
-    factor = fma(p.g, begun(b.time, p.h, where_neg(p.i - least, least, p.i)) - one, one)
+    factor = changed(p.g, b.time, p.h, where_neg(p.i - least, least, p.i))
     first = size(one - p.g)
     return pressed(q * factor, norm(q) * where_neg(one - first, first, one), b, p.d, p.e, p.f)
 
