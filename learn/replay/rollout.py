@@ -94,11 +94,6 @@ class Rollout(ReplayWorlds):
             points[j, :, :, places[-1]] = local.to(points.dtype)
         return wp.array(places, dtype=int, device=self.device)
 
-    def _write(self, field: str, place: int | list[int], component: int, values: torch.Tensor) -> None:
-        array = self.effects.arrays[FIELD] if self.effects and field == FIELD else self.model.arrays[field]
-        target = array.torch.unflatten(0, (self.chains, self.blocks))
-        target[:, :, :, place, component] = values
-
     def __call__(self, values: torch.Tensor, start: torch.Tensor | None = None) -> torch.Tensor:
         """Return the channels of every recording for every set.
 
@@ -112,7 +107,7 @@ class Rollout(ReplayWorlds):
         """
         sim, width = self.simulator, self.model.width
         self._armature.restore()
-        self.system.write(self._padded(values).view(self.blocks, width, -1).flatten(0, 1), self.model, self._blocked)
+        self.system.write(self._padded(values).view(self.blocks, width, -1).flatten(0, 1), self.model, self._write)
         self._armature.centre()
         self._reset(start)
         sim.refresh()
@@ -148,8 +143,10 @@ class Rollout(ReplayWorlds):
         at_sample = torch.stack([ahead - half * (rate + 0.5 * half * gained), rate, gained], -1)
         return at_sample.flatten(-2)[..., self._select]
 
-    def _blocked(self, field: str, place: int | list[int], component: int, values: torch.Tensor) -> None:
-        self._write(field, place, component, values.unflatten(0, (self.blocks, self.model.width)))
+    def _write(self, field: str, place: int | list[int], component: int, values: torch.Tensor) -> None:
+        array = self.effects.arrays[FIELD] if self.effects and field == FIELD else self.model.arrays[field]
+        target = array.torch.unflatten(0, (self.chains, self.blocks))
+        target[:, :, :, place, component] = values.unflatten(0, (self.blocks, self.model.width))
 
     def _padded(self, values: torch.Tensor) -> torch.Tensor:
         extra = self.blocks * self.model.width - self.num_sets
