@@ -39,7 +39,8 @@ class NewCase:
         time_unit: Its unit: s, ms, us, ns, min.
         rate: Rows per second, for files without a clock.
         resample: Rate of the grid that a clock with jitter is put on [Hz]; its own, rounded, if not given.
-        rows: A:B, rows from A on and before B, counted from 0; several make several recordings of one file.
+        rows: A:B, rows from A on and before B, counted from 0; several make several recordings of one file, or are one
+            for each of several files.
         only: COLUMN=TEXT: the rows in which a column has this text; several must all hold.
         force: Column of the force, that of the hand or robot on the branch; three for the axes x y z, two for x z.
         torque: Column of the torque, in place of a force; one for each joint with --mjcf.

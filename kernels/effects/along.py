@@ -49,9 +49,10 @@ def joint_law_kernel(law: Any, memory: int) -> Any:
         for k in range(angle_in.shape[1]):
             q = angle_in[m, k]
             w = rate_in[m, k]
+            v = Vec(real(w[0], o), real(w[1], o), real(w[2], o))
             j = JointState(
-                Vec(real(q[0], o), real(q[1], o), real(q[2], o)), Vec(real(w[0], o), real(w[1], o), real(w[2], o)),
-                zero, zero, real(spring, o), real(wp.float64(k) * step, o), real(step, o),
+                Vec(real(q[0], o), real(q[1], o), real(q[2], o)), v, zero, zero, real(spring, o),
+                real(wp.float64(k) * step, o), real(step, o), v,
             )  # fmt: skip
             if wp.static(memory == 2):
                 long = law(j, p, LongResponse(zero, first, second, o, o))

@@ -71,7 +71,7 @@ def _hold_of(terms: tuple[Term, ...], types: SimpleNamespace, key: str) -> Any:
             named(torque)
         o = real(0.0, mark)
         zero = torque - torque
-        j = JointState(zero, zero, m.preload[e, i], zero, m.stiffness[e, i], o, o)
+        j = JointState(zero, zero, m.preload[e, i], zero, m.stiffness[e, i], o, o, zero)
         left = type(torque)(torque.x, torque.y, torque.z)
         for n in range(wp.static(count)):
             for _ in range(fx.active[e, wp.static(slots[n])]):

@@ -51,9 +51,10 @@ def effect_efforts_kernel(width: int, precision: int, terms: tuple[Term, ...]) -
                 for c in range(count):
                     if watched[c] == i:
                         effort = effort_in_out[e, k * count + c]
+                v = Vec(rate, o, o)
                 state = JointState(
-                    Vec(real(now[0], o), o, o), Vec(rate, o, o), m.preload[e, i], Vec(effort, o, o),
-                    m.stiffness[e, i], real(time, o), real(step, o),
+                    Vec(real(now[0], o), o, o), v, m.preload[e, i], Vec(effort, o, o), m.stiffness[e, i],
+                    real(time, o), real(step, o), v,
                 )  # fmt: skip
                 r = law(e, i, fx, state, Response(zero, zero, o, o))
                 for c in range(count):

@@ -365,7 +365,7 @@ def replay_samples(
             if is_on(e, at.delay, fx) and k >= 0:
                 ends = opening(input_in, j, k, n)
             for step in range(substeps):
-                time = begin + wp.float64(k * substeps + step) * h
+                time = begin + (wp.float64(k * substeps + step) + wp.float64(0.5)) * h
                 if k >= 0:
                     now = Moment(j, k, k + 1, step, substeps, 1)
                     force = acting(e, fx, at.delay, input_in, now, n, ends, rate, s.pose[row, place], like, law)

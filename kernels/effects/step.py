@@ -202,8 +202,11 @@ def torque_of(
     e: int, row: int, i: int, m: Any, x: Any, u: Any, fx: Any, h: wp.float64, time: Any, strain: wp.Function
 ):  # fmt: skip
     """Return the laws' effort at a joint; its damper becomes what they make of it."""
-    r = strain(e, i, m, x, u.effort[e, i], fx, h, time)
-    m.damping[e, i] = effective_damping(m.kind[e, i], fx.damping[e, i], m.stiffness[e, i], r.stiffness, r.damping, h)
+    v = x.velocity[e, i]
+    r = strain(e, i, m, x, u.effort[e, i], v - v, fx, h, time)
+    m.damping[e, i] = effective_damping(
+        m.kind[e, i], fx.damping[e, i], m.stiffness[e, i], r.stiffness, r.damping, m.inertia[e, i].z, h
+    )
     fx.effort[row, i] = r.torque
     return r.torque
 

@@ -39,7 +39,9 @@ def law_types(width: int, precision: int) -> SimpleNamespace:
     class JointState:
         """What a law at a joint sees.
 
-        ``preload`` is the present torque of the pre-load that carries the weight, ``effort`` that of an actuator.
+        ``preload`` is the present torque of the pre-load that carries the weight, ``effort`` that of an actuator. By
+        ``rate`` the angle has come here in the last ``step``; ``ahead`` is the rate in the middle of the next one where
+        that is told (`tree.midway`), or else the same.
         """
 
         angle: Vec
@@ -49,6 +51,7 @@ def law_types(width: int, precision: int) -> SimpleNamespace:
         stiffness: Real
         time: Real
         step: Real
+        ahead: Vec
 
     @wp.struct
     class Response:

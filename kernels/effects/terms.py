@@ -25,7 +25,7 @@ not asked (``bent``), so that a kernel with every law in it costs a group little
 
 Damping that a law reports is implicit in the step, so that a law as steep as dry friction at rest stays stable. A ball
 joint's stiffness beyond its own spring brings the least damper that an explicit spring needs there (half a step times
-the stiffness, since a segment has hardly any inertia about its own axis).
+the stiffness, less what the segment's inertia about its own axis does).
 """
 
 from functools import cache
@@ -343,7 +343,7 @@ def is_on(e: int, place: int, fx: Any):
 
 @wp.func
 def joint_state(
-    kind: int, q: Any, w: Any, preload: Any, effort: Any, stiffness: Any, time: Any, h: wp.float64, like: Any
+    kind: int, q: Any, w: Any, gain: Any, preload: Any, effort: Any, stiffness: Any, time: Any, h: wp.float64, like: Any
 ):  # fmt: skip
     """Angle, rate, effort and spring of a joint as laws see them."""
     o = real(0.0, time)
@@ -356,33 +356,40 @@ def joint_state(
         angle = v * f
         rate = w
         held = held_of(preload, v, f, g)
-    return type(like)(angle, rate, held, effort, stiffness, time, real(h, o))
+    return type(like)(angle, rate, held, effort, stiffness, time, real(h, o), rate + gain * real(0.5, o))
 
 
 def strain_of(law: Any, types: SimpleNamespace, key: str) -> Any:
     """Return the device function that asks laws for their response at a joint in its present state."""
     JointState, Response = types.JointState, types.Response
 
-    def strain(e: int, i: int, m: Any, x: Any, effort: Any, fx: Any, h: wp.float64, time: Any):
-        """Return the laws' response at joint i, of its present coordinate, velocity, pre-load, effort and spring."""
+    def strain(e: int, i: int, m: Any, x: Any, effort: Any, gain: Any, fx: Any, h: wp.float64, time: Any):
+        """Return the laws' response at joint i, of its present coordinate, velocity, pre-load, effort and spring.
+
+        In the step its rate gains about as much as in the one before, ``gain``.
+        """
         w = x.velocity[e, i]
         o = real(0.0, time)
         zero = type(w)(o, o, o)
-        like = JointState(w, w, w, w, o, o, o)
+        like = JointState(w, w, w, w, o, o, o, w)
         held, spring = m.preload[e, i], m.stiffness[e, i]
-        j = joint_state(m.kind[e, i], x.coordinate[e, i], w, held, effort, spring, time, h, like)
+        j = joint_state(m.kind[e, i], x.coordinate[e, i], w, gain, held, effort, spring, time, h, like)
         return law(e, i, fx, j, Response(zero, zero, o, o))
 
     return wp.func(strain, name=f"strain_{key}")
 
 
 @wp.func
-def effective_damping(kind: int, own: Any, stiffness: Any, more: Any, extra: Any, h: wp.float64):
-    """Damper of a joint: its own, what laws add, and the least one of a ball joint that laws make stiffer."""
+def effective_damping(kind: int, own: Any, stiffness: Any, more: Any, extra: Any, axial: Any, h: wp.float64):
+    """Damper of a joint: its own, what laws add, and the least one of a ball joint that laws make stiffer.
+
+    About its own axis a segment turns with the inertia I = ``axial`` at least. There an explicit spring K is stable in
+    steps of h where h K / 2 <= D + 2 I / h, see `tree.stability`.
+    """
     d = own + extra
     o = real(0.0, d)
     if kind == SPHERICAL:
-        need = (stiffness + more) * real(LEAST_DAMPER * h, d) - d
+        need = (stiffness + more) * real(LEAST_DAMPER * h, d) - axial * real(wp.float64(2.0) / h, d) - d
         need = where_neg(need, o, need)
         d = d + where_neg(o - more, need, o)
     return d
@@ -453,9 +460,10 @@ def act(
         steep = stiffness
         if at.joint >= 0:
             if fx.bent[e, i] == 1:
-                r = strain(e, i, m, x, u.effort[e, i], fx, lapse, real(time, o))
+                r = strain(e, i, m, x, u.effort[e, i], fx.gain[e, i], fx, lapse, real(time, o))
                 total = total + r.torque
-                damping = effective_damping(m.kind[e, i], damping, stiffness, r.stiffness, r.damping, h)
+                axial = m.inertia[e, i].z
+                damping = effective_damping(m.kind[e, i], damping, stiffness, r.stiffness, r.damping, axial, h)
                 back = stiffness + r.follows
                 steep = stiffness + where_neg(r.stiffness, o, r.stiffness)
         if still != MOVING:

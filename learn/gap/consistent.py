@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from ...sim.effects import effect_of
+from ..cases.case import BranchCase, JointCase
 from ..inference.report import spoken
 from ..replay.equation_error import fits_torque
 from ..systems.model_file import BranchModel
@@ -211,11 +212,14 @@ def _named_but_no_better(d: Diagnosis) -> str | None:
 
 
 def _named_but_hardly_better(d: Diagnosis) -> str | None:
-    """Effects are named: then what they leave held out is near the noise, or clearly less than without them."""
+    """Effects are named: then what they leave held out is near the noise, or clearly less than without them.
+
+    Of joints with unequal torques the largest make the error; one in units of each channel's noise serves as well.
+    """
     known = max(d.gap.noise_floor, d.scatter or 0.0)
     if d.verdict != "effects" or d.ahead or not shrinks(d) or not d.held_out:
         return None
-    if d.gap.repaired <= max(FAR * known, HARDLY * d.gap.base):
+    if d.gap.repaired <= max(FAR * known, HARDLY * d.gap.base) or d.gap.in_noise <= HARDLY:
         return None
     return (f"{_named(d)} would be named for {share(d.explained)} of the excess misfit, and yet the {error_name(d)}"
             f" hardly shrinks with it, from {_gap(d, d.gap.base)} to {_gap(d, d.gap.repaired)},"
@@ -356,6 +360,8 @@ def _unknown(d: Diagnosis) -> str:
     if d.stretched and d.explained > HALF:
         most = " and ".join(d.stretched)
         return f"{text}, but only with {most} as far as it is allowed to go: another law may be in its place."
+    if d.memoryless > 0.0 and d.explained > HALF:
+        return f"{text}, but what it leaves is in large part no noise either."
     return f"{text}, which is not enough to claim it."
 
 
@@ -395,7 +401,15 @@ def share(explained: float) -> str:
 def _named(d: Diagnosis) -> str:
     """Return the named effects in words, each once with all its joints."""
     joints = joints_of([a.label for a in d.effects])
-    return " and ".join(f"{name}{_at(own)}" for name, own in joints.items()) or "an effect"
+    at = {name: _at([_joint(d.case, k) for k in own]) for name, own in joints.items()}
+    return " and ".join(f"{name}{where}" for name, where in at.items()) or "an effect"
+
+
+def _joint(case: BranchCase | JointCase, index: str) -> str:
+    """Return a joint's number, and of a mechanism its name in the case as well."""
+    if isinstance(case, JointCase) and len(case.joints) > 1:
+        return f"{index} ({case.joints[int(index)].name})"
+    return index
 
 
 def _at(joints: list[str]) -> str:

@@ -104,13 +104,17 @@ def together(labels: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class Gap:
-    """Held-out RMSE of the main channels by base and repaired model, and the noise floor; recordings held out."""
+    """Held-out RMSE of the main channels by base and repaired model, and the noise floor; recordings held out.
+
+    ``in_noise`` is the repaired model's over the base's with every channel in units of its own noise; NaN if unknown.
+    """
 
     base: float
     repaired: float
     noise_floor: float
     unit: str
     test: tuple[int, ...] = ()
+    in_noise: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -203,11 +207,14 @@ class Diagnosis:
         unusable: Why the data cannot support a verdict, with the missing probe; None where they can.
         not_understood: Which results contradict each other (`consistent`).
         remarks: What the data leave open beside the verdict, a sentence each.
+        memoryless: For ``unknown`` the share of what is left of torques that is a function of angle and rate alone, if
+            it is a large one, else zero (`models.memoryless`).
         fit: Of joints measured directly: replay or torque, why, and whether the other way can be asked for.
         geometry: What nuisances of a branch's geometry and mountings have to do with the misfit.
         ahead: Whether named effects predict experiments left out better than the base model does, beside nuisances that
             explain more than the tolerance; the gap is without these.
-        unstable: What changes the verdict, such as ``a filter of 25 Hz names backlash``; empty if nothing does.
+        unstable: What changes the verdict, such as ``a filter of 25 Hz names backlash``; empty if nothing does. For
+            ``none`` what half of the rate or a part of the recordings names, and all of them make small.
         may_be_off: For ``unknown`` the labels of tried effects whose interval reaches where they do nothing.
         stretched: For ``unknown`` the labels of those that go as far as their boxes allow, see `decide.at_an_end`.
         nested: Whether no model that was fitted leaves more than one that it contains, see `models.nested`.
@@ -247,6 +254,7 @@ class Diagnosis:
     unusable: str | None = None
     not_understood: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    memoryless: float = 0.0
     fit: dict[str, str] = field(default_factory=dict)
     unstable: tuple[str, ...] = ()
     may_be_off: tuple[str, ...] = ()

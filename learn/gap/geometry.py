@@ -260,7 +260,7 @@ def _on_pieces(
     inside = np.arange(fine.num_segments) % PIECES > 0
     share = np.where(inside, (PIECES - 1) / np.repeat(bends, PIECES, axis=1), 1.0)
     factor = torch.as_tensor(share, device=contest.place)
-    finer = int(np.ceil(LONGEST / substep_of(case)))  # the pieces have no recordings to tell
+    finer = 2 * int(np.ceil(LONGEST / substep_of(case)))  # they swing faster, and have no recordings that tell
     rollout = Rollout(fine, recordings, len(bends), device=contest.device, finer=finer)
     values = [x.repeat_interleave(PIECES) * factor for x in (spring, damper)]
     return rollout(torch.cat(values, 1)).double()

@@ -11,7 +11,7 @@ from .decide import Decision, predicts, size
 from .diagnosis import Diagnosis, Geometry, Rival, Where
 from .geometry import alone, explained_by, instead
 from .models.fitted import FittedModels
-from .models.memoryless import without_memory
+from .models.memoryless import left_without_memory, without_memory
 from .prepare import Base
 from .repaired import Repaired
 from .run import Run
@@ -44,8 +44,9 @@ def record(
         ahead = decision.verdict == "effects" and askew and predicts(fitted, decision.final)
     remarks = (*one_way(case, recordings, fitted.values(fitted.base)),
                *rests_elsewhere(case, recordings, repaired.base_output))  # fmt: skip
-    if decision.verdict == "unknown" and not base.unusable:
-        remarks += without_memory(fitted, decision.model)
+    asked = decision.verdict == "unknown" and not base.unusable
+    memoryless = left_without_memory(fitted, decision.model) if asked else 0.0
+    remarks += without_memory(memoryless)
     if askew and not base.unusable:
         remarks += ("Geometry and mountings that are not quite as the file says explain"
                     f" {percent(beside.share)} of the motion (furthest: {beside.furthest}).",)  # fmt: skip
@@ -68,7 +69,7 @@ def record(
         world_steps=run.keep.earlier + contest.world_steps, seconds=run.seconds, tried=fitted.labels(decision.final),
         size=0.0 if base.unusable else size(fitted, decision.model, base.motion), unusable=unusable,
         swing=swing_of(case, recordings, gap.test or range(len(recordings))),
-        scatter=replicate_scatter(case, recordings), remarks=remarks,
+        scatter=replicate_scatter(case, recordings), remarks=remarks, memoryless=memoryless,
         unstable=decision.unstable, may_be_off=decision.may_be_off, stretched=decision.stretched,
         geometry=beside, ahead=ahead, nested=not fitted.broken(),
     ))  # fmt: skip

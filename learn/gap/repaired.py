@@ -84,7 +84,10 @@ def repair(base: Base, decision: Decision, run: Run) -> Repaired:
     models = [model_from(contest, decision.base, before, held=held),
               model_from(contest, decision.final, after, held=held, claimed=claimed)]  # fmt: skip
     seen = [replay_model(contest.case, m, off_in(contest, m)) for m in models]
-    gap = Gap(seen[0].rms, seen[1].rms, noise_floor(base, seen[0]), unit_of(contest.case), seen[0].test)
+    sigma = base.noise.sigma
+    weighted = [s.rms_over(np.where(sigma > 0.0, sigma, 1.0)) for s in seen]
+    gap = Gap(seen[0].rms, seen[1].rms, noise_floor(base, seen[0]), unit_of(contest.case), seen[0].test,
+              weighted[1] / max(weighted[0], 1e-300))  # fmt: skip
     return Repaired(models[1], gap, before, after, seen[0].output, seen[1].output, posterior, parameters,
                     implausible(contest, decision, parameters))  # fmt: skip
 

@@ -164,7 +164,8 @@ def _repaired(d: Diagnosis) -> str:
 
 
 def _floor(d: Diagnosis) -> str:
-    text = "What a perfect model would leave: the noise of the sensors alone, that of a branch's force included."
+    force = ", that of the force included" if isinstance(d.case, BranchCase) else ""
+    text = f"What a perfect model would leave: the noise of the sensors alone{force}."
     if d.scatter is not None or d.gap.base < GOOD_SENSOR * d.gap.noise_floor:
         return text
     return f"{text} It says little here; record one experiment twice to see what a model can reach."
@@ -368,7 +369,9 @@ def _removed(d: Diagnosis) -> str:
     excess = [max(x**2 - d.gap.noise_floor**2, 0.0) for x in (d.gap.base, d.gap.repaired)]
     if not far(d) and d.verdict == "none":
         return "The base model comes close to the noise: there is little to explain."
-    if grows(d) or not d.tried or excess[0] == 0.0:
+    if d.tried and excess[0] == 0.0 and not grows(d):
+        return "The base model leaves no more than the noise floor."
+    if grows(d) or not d.tried:
         return "What was tried does not bring the model closer to what was measured." if d.tried else ""
     gone = 1.0 - math.sqrt(excess[1] / excess[0])
     return f"The {BEST} takes away {percent(gone)} of the error beyond the noise."

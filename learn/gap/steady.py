@@ -2,7 +2,9 @@
 
 The leading models are fitted again to the same recordings under another cut-off of the filter (torques) or at half the
 rate (replays), and to a part of the recordings. A name that does not survive is not claimed, unless what takes its
-place is the same in principle, such as a set and a loop of one slider: that is an alternative.
+place is the same in principle, such as a set and a loop of one slider: that is an alternative. Where nothing is
+missing a name that another treatment gives makes that unknown. Half of the rate or a part of the recordings shows
+nothing that they do not show whole: its effect must be larger than the tolerance there too, or else is only told.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from ..inference.identify import pooled_sigma
 from ..replay.choice import roughness
 from ..replay.equation_error import fits_torque, noise_of, recordings_of, thinned
 from ..replay.motion_noise import motion_noise
-from .decide import EXPLAINED, Decision, alike, alternatives, decide, leading
+from .decide import EXPLAINED, Decision, alike, alternatives, decide, leading, size
 from .evidence import bootstrap_test
 from .models.at_rest import Noise
 from .models.contest import Batch, Contest
@@ -54,11 +56,13 @@ class Variant:
         what: How, such as ``a filter of 12 Hz``.
         case: The case.
         recordings: Indices of the trajectories that are used.
+        filtered: Whether another filter lets through what the case's own does not.
     """
 
     what: str
     case: JointCase
     recordings: tuple[int, ...]
+    filtered: bool = False
 
 
 def steadied(base: Base, searched: Searched, decision: Decision, run: Run) -> Decision:
@@ -69,7 +73,9 @@ def steadied(base: Base, searched: Searched, decision: Decision, run: Run) -> De
     case = base.contest.case
     if isinstance(case, BranchCase) or decision.verdict == "unknown":
         return decision
-    kept, changes = decision.model.members if decision.verdict == "effects" else (), []
+    kept = decision.model.members if decision.verdict == "effects" else ()
+    changes: list[str] = []
+    small: list[str] = []
     akin: dict[str, set[str]] = {}
     for variant in variants(case):
         again, fitted = _again(base, searched, decision, variant, run)
@@ -81,10 +87,22 @@ def steadied(base: Base, searched: Searched, decision: Decision, run: Run) -> De
             akin.setdefault(own.label, set()).update(same)
             lost += [] if same else [c]
         if lost or (again.verdict == "effects" and not decision.named):
-            changes.append(f"{variant.what} gives {' and '.join(fitted.names(again.model))}")
+            told = f"{variant.what} gives {' and '.join(fitted.names(again.model))}"
+            matters = lost or variant.filtered or _large(base, searched, again.model, run.settings.tolerance)
+            (changes if matters else small).append(told)
         kept = tuple(c for c in kept if c not in lost)
-    decision = decision if not changes else _reduced(searched, decision, kept, tuple(changes))
+    if changes:
+        decision = _reduced(searched, decision, kept, (*changes, *small))
+    elif small:
+        decision = replace(decision, unstable=tuple(small))
     return replace(decision, alternatives=with_akin(decision.alternatives, akin))
+
+
+def _large(base: Base, searched: Searched, found: Model, tolerance: float) -> bool:
+    """Return whether a treatment's effects change the case as it is by the tolerance, or were not fitted to it."""
+    models = searched.fitted
+    same = [m for m in models.models if set(m.members) == set(found.members)]
+    return not same or any(size(models, m, base.motion) >= tolerance for m in same)
 
 
 def _gone(
@@ -149,7 +167,7 @@ def variants(case: JointCase) -> Iterator[Variant]:
         for cutoff in (share * case.filter_hz for share in CUTOFFS):
             other = replace(case, filter_hz=cutoff)
             if cutoff < 0.4 / case.dt and _usable(other):
-                yield Variant(f"a filter of {cutoff:.3g} Hz", other, every)
+                yield Variant(f"a filter of {cutoff:.3g} Hz", other, every, filtered=True)
     elif _smooth(case):
         yield Variant(f"a rate of {0.5 / case.dt:.4g} Hz", at_half_rate(case), every)
     if len(every) > 1:

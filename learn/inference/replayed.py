@@ -49,10 +49,14 @@ class Replayed:
     @property
     def rms(self) -> float:
         """Held-out RMSE of the main channels, in their unit."""
+        return self.rms_over(np.ones(self.output.shape[-1]))
+
+    def rms_over(self, noise: Array) -> float:
+        """Held-out RMSE of the main channels, each in units of ``noise`` [C]."""
         parts = []
         for j in self.test:
             r = self.recordings[j]
-            parts.append((r.output - self.output[j, : len(r.t)])[:, list(self.main)].ravel())
+            parts.append(((r.output - self.output[j, : len(r.t)]) / noise)[:, list(self.main)].ravel())
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 

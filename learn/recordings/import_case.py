@@ -89,7 +89,7 @@ def import_case(
     motions = _from_zero(rows, step, given, ask)
     if windows[0].force.stream.kind != "joints":
         motions = _turned(motions, given, ask)
-    plausible.check_sign(np.concatenate(motions.effort), np.concatenate(motions.motion), given.flip, tables=False)
+    plausible.check_sign(motions.effort, motions.motion, given.flip, tables=False)
     head = f"Made by bough import-case from {', '.join(dict.fromkeys(p.name for p in files))}:"
     content = branch_content(motions, given, ask, "--scale-unit, --gravity, --arm")
     return write_case(out, content, [*ask.notes, *(f"warning: {w}" for w in ask.warnings)], head)

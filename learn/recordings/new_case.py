@@ -91,7 +91,7 @@ def _measured(files: Sequence[Path], given: Given, ask: Asker) -> Measured:
         velocity = [sign["motion"] * _taken(r, chosen.velocity, "0", 1) for r in read]
     plausible.check_motion(chosen.motion, np.concatenate(motion), _reach(given), ask)
     if chosen.effort is not None and given.mjcf is None:
-        plausible.check_sign(np.concatenate(effort), np.concatenate(motion), given.flip)
+        plausible.check_sign(effort, motion, given.flip, kind=chosen.effort.kind)
     return Measured(step, motion, effort, velocity, chosen, parts)
 
 
@@ -159,8 +159,8 @@ def _with_lever(given: Given, ask: Asker, *, angle: bool, effort: Quantity | Non
     """Return what was said with the place of the pull, if it is needed or somebody may want to say it."""
     force = effort is not None and effort.kind == "force"
     if effort is not None and effort.kind == "torque" and not angle and not given.at:
-        raise InputError(SOURCE, "--at", "a torque and a displacement, without the lever between them",
-                         "the distance of the displacement from the axis, such as 30cm")  # fmt: skip
+        raise InputError(SOURCE, "--at", "a torque and a displacement, without the lever between them", "the distance"
+                         " of the displacement from the axis, such as 30cm; of an angle --angle COLUMN")  # fmt: skip
     if given.at or not force:
         return given
     question = Question(

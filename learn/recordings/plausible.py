@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...sim.base.errors import InputError
@@ -94,20 +96,37 @@ def check_effort(quantity: Quantity, values: Array, ask: Asker) -> None:
                             f"others by {quantity.flag}")  # fmt: skip
 
 
-def check_sign(force: Array, motion: Array, flip: str | None, *, tables: bool = True) -> None:
-    """Refuse a force against the motion that it causes, unless ``--flip`` says how they are meant.
+def check_sign(
+    effort: Sequence[Array], motion: Sequence[Array], flip: str | None, *, tables: bool = True, kind: str = "force"
+) -> None:
+    """Refuse an effort against the motion that it causes, unless ``--flip`` says how they are meant.
 
-    Of tables the motion may be turned, too.
+    It points the other way, and takes work out of what it moves. A drive that swings a load faster than the load would
+    swing by itself does the first alone. Of tables the motion may be turned, too.
+
+    Args:
+        effort: Forces or torques of each recording, shape [T, C].
+        motion: Where they go, shape [T, C].
+        flip: What the user said.
+        tables: Whether they are columns of tables.
+        kind: ``force`` or ``torque``.
 
     Raises:
         InputError: They go opposite ways.
     """
-    x, f = motion.ravel(), force.ravel()
+    f, x = (np.concatenate([part.ravel() for part in parts]) for parts in (effort, motion))
     size = float(np.sqrt((x @ x) * (f @ f)))
-    if flip is None and size > 0 and float(x @ f) / size < OPPOSITE:
-        other = "--flip motion, " if tables else ""
-        allowed = f"--flip force (what is read is the branch's pull on the hand), {other}or --flip none to keep both"
-        raise InputError(SOURCE, "--flip", "a force that points against the motion that it causes", allowed)
+    if flip is not None or size == 0.0 or float(x @ f) / size >= OPPOSITE or _work(effort, motion) > 0.0:
+        return
+    other = "--flip motion, " if tables else ""
+    whose = "the branch's pull on the hand" if kind == "force" else "what the load does to the drive"
+    allowed = f"--flip force (what is read is {whose}), {other}or --flip none to keep both"
+    raise InputError(SOURCE, "--flip", f"a {kind} that points against the motion that it causes", allowed)
+
+
+def _work(effort: Sequence[Array], motion: Sequence[Array]) -> float:
+    """Return the work that efforts [T, C] do along motions [T, C]."""
+    return sum(float((0.5 * (f[1:] + f[:-1]) * np.diff(x, axis=0)).sum()) for f, x in zip(effort, motion, strict=True))
 
 
 def check_stiffness(force: Array, motion: Array, at: float, shape: Shape, ask: Asker, units: str) -> None:

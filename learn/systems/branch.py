@@ -23,7 +23,7 @@ Kind = Literal["stiffness", "damping", "density", "rest_angle"]
 Joints = Literal["spherical", "revolute"]
 
 #: Longest and shortest step [s], and the largest phase that the swing of a held segment turns by in one [rad].
-LONGEST, SHORTEST, TURN = 2.5e-3, 2e-4, 0.05
+LONGEST, SHORTEST, TURN = 5e-3, 2e-4, 0.1
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,11 @@ class BranchSystem:
 
     YOUNG = (1e6, 1e11)
     RELAXATION = (1e-4, 10.0)
-    #: Least relaxation time D / K of a ball joint, in substeps. A segment has hardly any inertia about its own axis,
-    #: so explicit springs are stable there only with D / K above half a substep. Below, the simulator makes springs of
-    #: all joints partly implicit at once; that jump in the dynamics splits a posterior into spurious modes.
-    LEAST_RELAXATION = 0.6
+    #: Least inertia of a segment about its own axis over h^2 K, h the substep; its own is a thousandth of that. Twist
+    #: then follows what twists it within 1/sqrt(2) substeps, where a recording shows swings of 60 substeps and more.
+    LEAST_AXIAL = 0.5
+    #: Least relaxation time D / K of a ball joint and of a trunk, in substeps.
+    LEAST_RELAXATION, LEAST_OF_TRUNK = 0.1, 0.3
     TYPICAL_YOUNG, TYPICAL_RELAXATION = 5e8, 0.02
 
     def __init__(self, branch: MeasuredBranch, unknowns: Unknowns | None = None) -> None:
@@ -130,30 +131,50 @@ class BranchSystem:
         return out
 
     def write(self, values: torch.Tensor, model: Model, write: Write) -> None:
-        """Write the unknowns [sets, n]; no ball joint gets a damper below its least one."""
+        """Write the unknowns [sets, n]; dampers of ball joints and axial inertias as `_explicit` says."""
         n = self.branch.num_segments
         per_segment: dict[Kind, dict[int, torch.Tensor]] = {}
         for column, (kind, group) in enumerate(self._slots):
             for i in group:
                 per_segment.setdefault(kind, {})[i] = values[:, column]
-        if {"stiffness", "damping"} & set(per_segment):
-            spring = self._stacked(per_segment.get("stiffness"), values, self.tree.stiffness[self.first :])
-            damper = self._stacked(per_segment.get("damping"), values, self.tree.damping[self.first :])
-            if self.unknowns.joints == "spherical":
-                damper = torch.maximum(damper, self.LEAST_RELAXATION * self.substep * spring)
-            for i in range(self.branch.num_segments):
-                write("stiffness", int(model.link_place[self.first + i]), 0, spring[:, i])
-                write("damping", int(model.link_place[self.first + i]), 0, damper[:, i])
+        spring = self._stacked(per_segment.get("stiffness"), values, self.tree.stiffness[self.first :])
+        damper = self._stacked(per_segment.get("damping"), values, self.tree.damping[self.first :])
+        share = self._stacked(per_segment.get("density"), values, np.full(n, self._rho)) / self._rho
         if {"density", "rest_angle"} & set(per_segment):
-            self._write_weight(
-                self._stacked(per_segment.get("density"), values, np.full(n, self._rho)) / self._rho,
-                self._stacked(per_segment.get("rest_angle"), values, np.zeros(n)), model, write,
-            )  # fmt: skip
+            tilt = self._stacked(per_segment.get("rest_angle"), values, np.zeros(n))
+            self._write_weight(share, tilt, model, write)
+        if self.unknowns.joints == "spherical":
+            damper, axial = self._explicit(share, spring, damper)
+            for i in range(n):
+                write("inertia", int(model.link_place[self.first + i]), 2, axial[:, i])
+        for i in range(n):
+            write("stiffness", int(model.link_place[self.first + i]), 0, spring[:, i])
+            write("damping", int(model.link_place[self.first + i]), 0, damper[:, i])
         if self.unknowns.effects:
             columns = values[:, len(self._slots) :]
             self.acting.write(columns, model, write, range(self.first, self.first + n))
             if self.first:
-                write_pivot(self.acting, columns, self.LEAST_RELAXATION * self.substep, model, write)
+                write_pivot(self.acting, columns, self.LEAST_OF_TRUNK * self.substep, model, write)
+
+    def _explicit(
+        self, share: torch.Tensor, spring: torch.Tensor, damper: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return dampers and axial inertias with which explicit springs are stable; masses times ``share``, [sets, R].
+
+        Else the simulator would make springs of all joints partly implicit at once; that jump in the dynamics splits a
+        posterior into spurious modes. A joint with c = h^2 K - 2 h D > 0 takes 2 c from both of its segments, about any
+        axis, of the 4 I that their inertias are worth (`kernels.tree.stability`; Gershgorin). So c is half of the
+        smaller I across the segments at most, and I about their own axes the sum of c at both ends at least.
+        """
+        h, n = self.substep, self.branch.num_segments
+        inertia = self.tree.inertia[self.first : self.first + n]
+        across, axial = (torch.as_tensor(inertia[:, c, c], device=spring.device) * share for c in (0, 2))
+        smaller = torch.minimum(across, torch.nn.functional.pad(across[:, :-1], (1, 0), value=np.inf))
+        least = torch.maximum(self.LEAST_RELAXATION * h * spring, 0.5 * h * spring - smaller / (4.0 * h))
+        damper = torch.maximum(damper, least)
+        lacks = (h * h * spring - 2.0 * h * damper).clamp(min=0.0)
+        needed = self.LEAST_AXIAL * h * h * spring + lacks + torch.nn.functional.pad(lacks[:, 1:], (0, 1))
+        return damper, torch.maximum(axial, needed)
 
     def _stacked(self, found: dict[int, torch.Tensor] | None, values: torch.Tensor, fill: Array) -> torch.Tensor:
         """Values of a kind [sets, R] in float64, with what stands in [R] where it is not inferred."""

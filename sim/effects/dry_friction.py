@@ -15,6 +15,9 @@ from .registry import Effect, EffectParameter, Law, Setting, kept_share, registe
 #: Least angle over which asperities bend before they slip in a branch [rad], so that friction at rest is a spring.
 LEAST_BEND = wp.constant(wp.float64(1.0e-5))
 
+#: Share of the torque in the middle of a step; with all of it a bend without inertia would not come to rest.
+MIDDLE = wp.constant(wp.float64(0.8))
+
 #: Least rate at which friction in a branch may change [rad/s], so that powers of a rate over it stay finite.
 SLOWEST = wp.constant(wp.float64(1.0e-6))
 
@@ -23,13 +26,14 @@ FAST = wp.constant(wp.float64(1.0e6))
 
 
 @wp.func
-def friction(j: Any, torque: Any, y: Any, gradual: Any, r: Any):
+def friction(j: Any, torque: Any, y: Any, gradual: Any, middle: Any, r: Any):
     """tau = -T z / y, dz/dt = w - g |w| z / y where |z| < y, else z slides along at |z| = y: Coulomb's law that sticks.
 
     g = 0 is elastic and then slips, g = 1 is Dahl's law, in which z comes near y by e-folds. Implicit in the rate:
     within the step the bend z grows to s = (z + h w) / (1 + g h |w| / y), and tau = -T s / max(y, |s|) with the size of
     s at the present rate, a damper of T h / ((1 + g h |w| / y) max(y, |s|)). It gives all of T at a steady rate, and
-    as the rate vanishes.
+    as the rate vanishes. That is the torque at the end of the step, too late by half of it: the share ``middle`` of the
+    difference to the torque in its middle, T (s / max(y, |s|) - z / y), is added.
     """
     o = real(0.0, y)
     one = real(1.0, o)
@@ -41,7 +45,8 @@ def friction(j: Any, torque: Any, y: Any, gradual: Any, r: Any):
     z = z * where_neg(y - far, share, one)
     far = norm(z + turn) * slow
     k = torque * slow / where_neg(far - y, y, far)
-    return type(r)(z * (o - k), z, o, k * j.step)
+    early = turn * k + z * (k - torque / y)
+    return type(r)(z * (o - k) + early * middle, z, o, k * j.step)
 
 
 @wp.func
@@ -52,7 +57,7 @@ def changing(p: Any):
 
 
 @wp.func
-def slipping(j: Any, p: Any, size: Any, y: Any, x: Any, r: Any):
+def slipping(j: Any, p: Any, size: Any, y: Any, x: Any, middle: Any, r: Any):
     """T (1 + s exp(-x)), T = ``size``: friction that is larger at rest (s > 0), or smaller and creeps there (s < 0).
 
     The exponential is 1 / (1 + x + x^2/2 + x^3/6 + x^4/24), within 0.012. What is missing at rest with x = |w| / v,
@@ -64,7 +69,7 @@ def slipping(j: Any, p: Any, size: Any, y: Any, x: Any, r: Any):
     fade = one / fma(x, slow, one)
     more = where_neg(p.d, o, p.d)
     creeps = where_neg(p.d, o - p.d, o)
-    out = friction(j, size * (fma(more, fade, one) - creeps), y, p.c, r)
+    out = friction(j, size * (fma(more, fade, one) - creeps), y, p.c, middle, r)
     return type(r)(out.torque, out.memory, out.stiffness, fma(size * creeps / changing(p), slow * fade, out.damping))
 
 
@@ -80,7 +85,7 @@ def dry_friction(j: Any, p: Any, r: Any):
     """Friction in a branch, of which the bend may be as small as float32 tells apart; its slope is mu K at most."""
     least = real(LEAST_BEND, p.a)
     y = where_neg(p.b - least, least, p.b)
-    out = slipping(j, p, pressing(j, p), y, norm(j.rate) / changing(p), r)
+    out = slipping(j, p, pressing(j, p), y, norm(j.ahead) / changing(p), real(MIDDLE, p.a), r)
     steep = where_neg(p.g, real(0.0, p.a) - p.g, p.g)  # on the way out or on the way back
     return type(r)(out.torque, out.memory, fma(steep, j.stiffness, out.stiffness), out.damping)
 
@@ -102,7 +107,7 @@ def dry_friction_at_joint(j: Any, p: Any, r: Any):
     far = real(FAST, p.a)
     x = norm(j.rate) / changing(p)
     x = where_neg(p.d, x, x * x)
-    return slipping(j, p, fma(p.f, norm(j.effort), p.a), p.b, where_neg(far - x, far, x), r)
+    return slipping(j, p, fma(p.f, norm(j.effort), p.a), p.b, where_neg(far - x, far, x), real(0.0, p.a), r)
 
 
 _TORQUE = EffectParameter("torque_Nm", "N m", lambda s: 0.003 * s.torque, lambda s: s.torque, scale="log")

@@ -28,7 +28,8 @@ def turner(law, memory=1):
             place = _Vec(rate[0], rate[1], rate[2])
             if k > 0:
                 rate = path_in[k] - path_in[k - 1]
-            j = _JointState(place, _Vec(rate[0], rate[1], rate[2]), carries, none, 1.0, 0.0, 1.0)
+            v = _Vec(rate[0], rate[1], rate[2])
+            j = _JointState(place, v, carries, none, 1.0, 0.0, 1.0, v)
             p = _Parameters(a, b, c, d, e, f, g, h, i, n)
             if wp.static(memory == 2):
                 long = law(j, p, _LongResponse(none, z, u, 0.0, 0.0))

@@ -37,12 +37,20 @@ def memoryless_share(fitted: FittedModels, model: Model) -> float:
     return gained / excess
 
 
-def without_memory(fitted: FittedModels, model: Model) -> tuple[str, ...]:
-    """Return in words that what a model leaves of torques is in large part a function of angle and rate."""
+def left_without_memory(fitted: FittedModels, model: Model) -> float:
+    """Return the share of what a model leaves of torques that is a function of angle and rate; 0 where that is little.
+
+    Little is left, or `MEMORYLESS` of it is not reached.
+    """
     if not fits_torque(fitted.contest.case) or fitted.reduced_chi2(model) <= QUIET_TORQUE:
-        return ()
+        return 0.0
     share = memoryless_share(fitted, model)
-    if share < MEMORYLESS:
+    return share if share >= MEMORYLESS else 0.0
+
+
+def without_memory(share: float) -> tuple[str, ...]:
+    """Return in words that what a model leaves of torques is in large part a function of angle and rate, if it is."""
+    if share == 0.0:
         return ()
     return (f"{share:.0%} of the torques left beyond noise is a function of the joint's angle and rate alone: a"
             " law without memory that the registry does not have, such as friction in one place of the turn or by the"

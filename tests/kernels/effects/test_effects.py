@@ -419,7 +419,7 @@ def test_force_bias_needs_contact(tmp_path):
     assert np.abs(out[-1, :3]).max() < 1e-3
 
 
-def test_what_an_open_gripper_reads_is_the_offset_of_its_recording(tmp_path):
+def test_what_an_open_gripper_reads_is_the_offset_of_its_recording(tmp_path, same_steps):
     """Read 1.2 times the force and an offset that zeroing changed between recordings: take both off again."""
     offsets = np.array([[0.5, -0.4, 0.3], [-0.2, 0.3, 0.1]])
     forces = [held(), held(force=-FORCE)]

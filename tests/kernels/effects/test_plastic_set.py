@@ -22,7 +22,7 @@ def turn(
     """Turn a joint of unit stiffness along a path in steps of h and write the law's torque."""
     none, b, c = Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0), Vec(0.0, 0.0, 0.0)
     for k in range(path_in.shape[0]):
-        j = JointState(Vec(path_in[k][0], path_in[k][1], path_in[k][2]), none, none, none, 1.0, 0.0, h)
+        j = JointState(Vec(path_in[k][0], path_in[k][1], path_in[k][2]), none, none, none, 1.0, 0.0, h, none)
         r = LAW(j, Parameters(s, y, i, m, flow, 0.0, 0.0, 0.0, 0.0, 0.0), LongResponse(none, b, c, 0.0, 0.0))
         b = r.memory
         c = r.second

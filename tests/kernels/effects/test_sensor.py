@@ -95,7 +95,7 @@ def test_a_curved_sensor_is_read_back(tmp_path, curved):
 
 
 @pytest.mark.parametrize("changes", [1.0, 2.0, -1.0])
-def test_an_offset_may_jump_between_recordings(tmp_path, changes):
+def test_an_offset_may_jump_between_recordings(tmp_path, changes, same_steps):
     """Read an offset from the second of three recordings on, and before that 1 - e of it: take both off again."""
     offset, forces = np.array([0.5, -0.4, 0.3]), [held(), held(force=-FORCE), held(force=0.5 * FORCE)]
     true = stick_case(tmp_path / "a", forces, starts=[0.0, 10.0, 20.0])

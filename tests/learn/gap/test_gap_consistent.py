@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bough.learn.gap.consistent import FAR, consistent
+from bough.learn.gap.consistent import FAR, consistent, sentence
 from bough.learn.gap.diagnosis import Diagnosis, Gap, Geometry, Interval, Rival, Settings
 from bough.learn.gap.evidence import ALARM, LACK_BRANCH
 from bough.learn.gap.report import content
@@ -294,3 +294,24 @@ def test_little_above_the_noise_must_be_much_of_the_motion(ratio, share, verdict
         "may_be_off": False, "stretched": False, "implausible": False, "instead": "", "askew": (0.0, 1.0),
     }  # fmt: skip
     assert consistent(made(CASES, n)).verdict == verdict
+
+
+def test_unequal_joints_are_judged_in_units_of_their_noise(cases):
+    """Keep a name where the pooled error hardly falls, for its largest joint has none of it, and the others' does.
+
+    Without that the results contradict each other, as with one joint.
+    """
+    n = NAMED | {"base": 0.27, "repaired": 0.25, "floor": 0.05}
+    pooled = made(cases, n)
+    assert pooled.gap.repaired > 0.8 * pooled.gap.base and consistent(pooled).verdict == "unknown"
+    own = replace(pooled, gap=replace(pooled.gap, in_noise=0.4))
+    assert consistent(own).verdict == "effects"
+
+
+def test_what_is_left_without_memory_is_the_reason(cases):
+    """Say that what friction leaves is no noise where that, and not its share, keeps it from being claimed."""
+    n = NAMED | {"verdict": "unknown", "explained": 0.82}
+    few = sentence(consistent(made(cases, n)))
+    other = sentence(consistent(replace(made(cases, n), memoryless=0.48)))
+    assert "which is not enough to claim it" in few
+    assert "82 %" in other and "not enough" not in other and "in large part no noise" in other

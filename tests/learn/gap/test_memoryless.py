@@ -9,7 +9,7 @@ from bough.learn.cases.case import JointCase
 from bough.learn.gap import decide
 from bough.learn.gap.models import memoryless
 from bough.learn.gap.models.fitted import FittedModels, Model
-from bough.learn.gap.models.memoryless import memoryless_share, without_memory
+from bough.learn.gap.models.memoryless import left_without_memory, memoryless_share, without_memory
 
 RUNS, SAMPLES = 3, 200
 
@@ -132,10 +132,13 @@ def test_what_passes_for_noise_of_torques():
 def test_the_page_says_that_the_rest_has_no_memory(monkeypatch):
     """Tell a user of a function of angle and rate with its share; say nothing of noise, of a memory, of a replay."""
     seen, other = left_by(spot, 30.0), left_by(remembered, 30.0)
-    (text,) = without_memory(seen, seen.models[0])
+    (text,) = without_memory(left_without_memory(seen, seen.models[0]))
     assert text.startswith(f"{memoryless_share(seen, seen.models[0]):.0%} of the torques left")
-    assert without_memory(other, other.models[0]) == ()
+    assert without_memory(left_without_memory(other, other.models[0])) == ()
     quiet = left_by(spot, 0.5)
-    assert quiet.models[0].chi2 < 1.5 * quiet.contest.num_samples and without_memory(quiet, quiet.models[0]) == ()
+    assert (
+        quiet.models[0].chi2 < 1.5 * quiet.contest.num_samples
+        and without_memory(left_without_memory(quiet, quiet.models[0])) == ()
+    )
     monkeypatch.setattr(memoryless, "fits_torque", lambda case: False)
-    assert without_memory(seen, seen.models[0]) == ()
+    assert without_memory(left_without_memory(seen, seen.models[0])) == ()

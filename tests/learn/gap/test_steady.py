@@ -2,9 +2,11 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from bough.learn.gap import steady
 from bough.learn.gap.decide import Decision, alike
+from bough.learn.gap.diagnosis import Settings
 from bough.learn.gap.models.fitted import FittedModels, Model
 from bough.learn.gap.search import Searched
 from bough.learn.gap.steady import Variant, shows_less, steadied, with_akin
@@ -84,14 +86,19 @@ def judged(fitted, verdict, *members):
     return Decision(verdict, fitted.base, own, own, named, {a.label: () for a in named})
 
 
-def treated(monkeypatch, verdict, members, variant, again):
-    """Return the decision of models that friction explains, once a treatment that ends in ``again`` has been tried."""
+def treated(monkeypatch, verdict, members, variant, again, motion=10.0):
+    """Return the decision of models that friction explains, once a treatment that ends in ``again`` has been tried.
+
+    ``motion`` is in units of the noise: friction changes it by the root of 8000 over the samples in these.
+    """
     fitted = of_joints(1000.0, 8000.0)
     what, recordings = variant
-    monkeypatch.setattr(steady, "variants", lambda case: [Variant(what, case, recordings)])
+    other = Variant(what, fitted.contest.case, recordings, filtered=what.startswith("a filter"))
+    monkeypatch.setattr(steady, "variants", lambda case: [other])
     monkeypatch.setattr(steady, "_again", lambda *_: again)
-    base = SimpleNamespace(contest=fitted.contest)
-    return steadied(base, Searched(fitted, 1e-9), judged(fitted, verdict, *members), None)
+    base = SimpleNamespace(contest=fitted.contest, motion=motion)
+    run = SimpleNamespace(settings=Settings())
+    return steadied(base, Searched(fitted, 1e-9), judged(fitted, verdict, *members), run)
 
 
 @pytest.mark.parametrize("variant", [("a rate of 50 Hz", (0, 1)), ("recording 2 alone", (1,))])
@@ -111,3 +118,15 @@ def test_nothing_missing_is_unknown_where_another_treatment_names_something(monk
     assert (kept.verdict, kept.unstable) == ("none", ())
     gone = treated(monkeypatch, "none", (), variant, (judged(fitted, "effects", 0), fitted))
     assert (gone.verdict, gone.named, gone.unstable) == ("unknown", (), ("a rate of 50 Hz gives dry_friction",))
+
+
+@pytest.mark.parametrize("what", ["a rate of 50 Hz", "recording 2 alone", "a filter of 9 Hz"])
+def test_what_all_recordings_make_small_undoes_nothing(monkeypatch, what):
+    """Keep `none`, and tell of it, where a treatment names what changes the case as it is by 0.2 % of the motion.
+
+    Another filter lets through what the case's own does not, so that what it shows counts.
+    """
+    fitted, motion = of_joints(1000.0, 8000.0), float(np.sqrt(8000.0 / SAMPLES)) / 0.002
+    found = treated(monkeypatch, "none", (), (what, (0, 1)), (judged(fitted, "effects", 0), fitted), motion)
+    expected = "unknown" if "filter" in what else "none"
+    assert (found.verdict, found.named, found.unstable) == (expected, (), (f"{what} gives dry_friction",))

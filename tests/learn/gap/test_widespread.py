@@ -77,7 +77,8 @@ def test_friction_of_most_gears_is_one_name(tmp_path):
     assert {(a.name, a.joint) for a in found.effects} == {("dry_friction", k) for k in (0, 1, 3)}
     for label, own in found.parameters.items():
         assert own["torque_Nm"].median == pytest.approx(size[int(label[-1])], rel=0.1)
-    assert "dry_friction at joints 0, 1 and 3" in sentence(found)
+    names = [joint.name for joint in case.joints]
+    assert f"dry_friction at joints 0 ({names[0]}), 1 ({names[1]}) and 3 ({names[3]})" in sentence(found)
     assert found.gap.repaired < 0.2 * found.gap.base
 
 
