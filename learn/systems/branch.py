@@ -85,6 +85,7 @@ class BranchSystem:
         self.acting = ActingSet(effects, "branch", settings, branch.name)
         self.parameters = bounded([*found, *self.acting.parameters], self.unknowns.box)
         self.tree = measured_tree(branch, spring, spring * self.TYPICAL_RELAXATION, self.unknowns.joints)
+        self._copies: dict[tuple[str, bytes], torch.Tensor] = {}
         self.first = len(BELOW) if self.acting.has("base_compliance") else 0
         if self.first:
             self.tree = on_pivot(self.tree, self._pivot(branch), branch.gravity)
@@ -166,9 +167,8 @@ class BranchSystem:
         axis, of the 4 I that their inertias are worth (`kernels.tree.stability`; Gershgorin). So c is half of the
         smaller I across the segments at most, and I about their own axes the sum of c at both ends at least.
         """
-        h, n = self.substep, self.branch.num_segments
-        inertia = self.tree.inertia[self.first : self.first + n]
-        across, axial = (torch.as_tensor(inertia[:, c, c], device=spring.device) * share for c in (0, 2))
+        h = self.substep
+        across, axial = (self._on(spring.device, self.tree.inertia[self.first :, c, c]) * share for c in (0, 2))
         smaller = torch.minimum(across, torch.nn.functional.pad(across[:, :-1], (1, 0), value=np.inf))
         least = torch.maximum(self.LEAST_RELAXATION * h * spring, 0.5 * h * spring - smaller / (4.0 * h))
         damper = torch.maximum(damper, least)
@@ -179,9 +179,16 @@ class BranchSystem:
     def _stacked(self, found: dict[int, torch.Tensor] | None, values: torch.Tensor, fill: Array) -> torch.Tensor:
         """Values of a kind [sets, R] in float64, with what stands in [R] where it is not inferred."""
         if found is None:
-            own = torch.as_tensor(fill[: self.branch.num_segments], dtype=torch.float64, device=values.device)
-            return own.expand(len(values), -1)
+            return self._on(values.device, fill).expand(len(values), -1)
         return torch.stack([found[i].double() for i in range(self.branch.num_segments)], 1)
+
+    def _on(self, device: torch.device, array: Array) -> torch.Tensor:
+        """Return the segments' rows of an array on a device, in float64, copied there once."""
+        rows = np.ascontiguousarray(array[: self.branch.num_segments], dtype=np.float64)
+        key = (str(device), rows.tobytes())
+        if key not in self._copies:
+            self._copies[key] = torch.as_tensor(rows, device=device)
+        return self._copies[key]
 
     def _write_weight(self, share: torch.Tensor, tilt: torch.Tensor, model: Model, write: Write) -> None:
         """Write masses times ``share``, elevations plus ``tilt``, both [sets, R], and the pre-loads that hold them."""
