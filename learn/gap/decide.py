@@ -70,6 +70,8 @@ TWICE = 0.97
 #: lose in one experiment left out, as a share of what it gains in the mean. Of 39 random pairs of the registry's laws
 #: the right second effect kept 0.63 or more and never lost; of wrong ones in its place 16 kept less or lost more.
 KEPT, LOST = 0.6, 0.1
+#: Share of itself by which a law must change at a moment to be a step beside a break.
+STEP = 0.25
 #: Difference of the information criterion below which two models cannot be told apart.
 TIED = 12.0
 #: Share of the excess by which a law may explain less than one that ends where it becomes this law.
@@ -358,10 +360,10 @@ def known(fitted: FittedModels, model: Model) -> bool:
     all. What breaks does so under a load. What strikes a stop must leave nothing but noise, with the file's geometry.
     """
     case = fitted.contest.case
-    if isinstance(case, BranchCase) and _drifts_or_strikes(fitted, model):
+    if isinstance(case, BranchCase) and (_drifts_or_strikes(fitted, model) or _staircase(fitted, model)):
         return False
     if isinstance(case, BranchCase) and len(set(fitted.names(model))) < len(model.members):
-        return fitted.explained(model) >= TWICE and not _staircase(fitted, model)
+        return fitted.explained(model) >= TWICE
     if fits_torque(case):
         return _known_torques(fitted, model)
     if isinstance(case, BranchCase):
@@ -397,9 +399,19 @@ def _rubs(fitted: FittedModels, model: Model) -> bool:
 
 
 def _staircase(fitted: FittedModels, model: Model) -> bool:
-    """Return whether a branch breaks twice in a model: two steps at two moments follow whatever drifts."""
-    names = fitted.names(model)
-    return any(names.count(n) > 1 and _lasting(n) for n in names)
+    """Return whether a branch breaks twice in a model, or breaks and something sets in beside it.
+
+    Two steps at two moments follow whatever drifts.
+    """
+    breaks = [n for n in fitted.names(model) if _lasting(n)]
+    return len(breaks) > len(set(breaks)) or (bool(breaks) and _sets_in(fitted, model))
+
+
+def _sets_in(fitted: FittedModels, model: Model) -> bool:
+    """Return whether a law of a model, such as a wind, changes at a moment by the share `STEP` of itself or more."""
+    candidates = [fitted.contest.candidates[c] for c in model.members]
+    steps = [_values(fitted.contest, model, c)["changes"] for c in candidates if "changes" in {s.name for s in c.specs}]
+    return any(abs(x) >= STEP for x in steps)
 
 
 def _drifts_or_strikes(fitted: FittedModels, model: Model) -> bool:

@@ -413,6 +413,22 @@ def test_two_breaks_are_not_claimed():
 
 
 @pytest.mark.parametrize(
+    ("other", "changes", "claimed"),
+    [("partial_rupture", 0.1, True), ("partial_rupture", 0.8, False), ("dry_friction", 0.8, True)],
+)
+def test_a_break_beside_a_wind_that_sets_in_is_not_claimed(other, changes, claimed):
+    """Claim a break beside a wind, and friction beside one that sets in; no break beside that, which is a staircase."""
+    fitted = field_of({(0, 2): 1000})
+    wind, law = effect_of("steady_wind").branch, SimpleNamespace(parameters=())
+    fitted.contest.candidates[0] = Candidate(SimpleNamespace(name=other, label=other, known={}), (0,), law)
+    columns = tuple(range(len(wind.parameters)))
+    fitted.contest.candidates[2] = Candidate(SimpleNamespace(name="steady_wind", label="w", known={}), columns, wind)
+    row = [changes if p.name == "changes" else 0.0 for p in wind.parameters]
+    fitted.contest.values = lambda batch: torch.tensor([row])
+    assert known(fitted, fitted.models[0]) is claimed
+
+
+@pytest.mark.parametrize(
     ("left", "moment", "claimed"),
     [(1300, 9.0, True), (1300, 22.0, True), (1300, 26.0, False), (1300, 31.0, False), (1300, 31.5, True),
      (1020, 26.0, True), (1300, 4.0, True)],
