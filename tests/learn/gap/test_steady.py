@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from bough.learn.gap import steady
 from bough.learn.gap.decide import Decision, alike
 from bough.learn.gap.diagnosis import Settings
@@ -130,3 +131,34 @@ def test_what_all_recordings_make_small_undoes_nothing(monkeypatch, what):
     found = treated(monkeypatch, "none", (), (what, (0, 1)), (judged(fitted, "effects", 0), fitted), motion)
     expected = "unknown" if "filter" in what else "none"
     assert (found.verdict, found.named, found.unstable) == (expected, (), (f"{what} gives dry_friction",))
+
+
+def test_half_of_the_rate_that_moves_the_joint_elsewhere_says_nothing(monkeypatch):
+    """Ask nothing of a treatment of which all models leave 8 times what friction leaves of the case; of 2 times, do."""
+    for left, lost in ((8000.0, False), (2000.0, True)):
+        other = of_joints(8500.0, left)
+        again = judged(other, "effects", 1), other
+        found = treated(monkeypatch, "effects", (0,), ("a rate of 50 Hz", (0, 1)), again)
+        assert (found.verdict == "unknown") is lost and bool(found.unstable) is lost
+
+
+@pytest.mark.parametrize(("left", "kept"), [(1005.0, True), (1010.0, False)])
+def test_a_part_too_weak_for_one_of_two_effects_takes_nothing_back(monkeypatch, left, kept):
+    """Keep a pair where a part names one of them and is fitted as well by both, with the values of the whole.
+
+    As well: within what the other one costs, log(1000) = 7 for the parameter that it adds.
+    """
+    pair = of_joints(5000.0, 8000.0)
+    pair.models.append(model(990.0, 0, 1))
+    pair.models[-1].fit.batch = None
+    small = of_joints(1000.0, 8000.0)
+    small.models.append(model(999.0, 0, 1))
+    small.contest.residual = lambda batch: torch.full((1, 1, 1, 1), left**0.5, dtype=torch.float64)
+    what = Variant("recording 2 alone", small.contest.case, (1,))
+    monkeypatch.setattr(steady, "_within", lambda contest, batch, recordings: batch)
+    whole = Decision("effects", pair.base, pair.models[-1], pair.models[-1], LAWS, {a.label: () for a in LAWS})
+    found = judged(small, "effects", 0)
+    for c in small.contest.candidates:
+        c.columns, c.specs = (0,), (EffectParameter("share", "1", 0.0, 1.0),)
+    lost = steady._gone(Searched(pair, 1e-9), whole, what, found, small, (0, 1))
+    assert lost == ([] if kept else [1])
