@@ -401,8 +401,8 @@ def share(explained: float) -> str:
 def _named(d: Diagnosis) -> str:
     """Return the named effects in words, each once with all its joints."""
     joints = joints_of([a.label for a in d.effects])
-    at = {name: _at([_joint(d.case, k) for k in own]) for name, own in joints.items()}
-    return " and ".join(f"{name}{where}" for name, where in at.items()) or "an effect"
+    words = (f"{name}{_at([_joint(d.case, k) for k in own])}" for name, own in joints.items())
+    return " and ".join(words) or "an effect"
 
 
 def _joint(case: BranchCase | JointCase, index: str) -> str:

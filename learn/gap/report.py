@@ -369,10 +369,12 @@ def _removed(d: Diagnosis) -> str:
     excess = [max(x**2 - d.gap.noise_floor**2, 0.0) for x in (d.gap.base, d.gap.repaired)]
     if not far(d) and d.verdict == "none":
         return "The base model comes close to the noise: there is little to explain."
-    if d.tried and excess[0] == 0.0 and not grows(d):
+    if not d.tried:
+        return ""
+    if grows(d):
+        return "What was tried does not bring the model closer to what was measured."
+    if excess[0] == 0.0:
         return "The base model leaves no more than the noise floor."
-    if grows(d) or not d.tried:
-        return "What was tried does not bring the model closer to what was measured." if d.tried else ""
     gone = 1.0 - math.sqrt(excess[1] / excess[0])
     return f"The {BEST} takes away {percent(gone)} of the error beyond the noise."
 

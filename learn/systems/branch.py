@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -85,7 +86,7 @@ class BranchSystem:
         self.acting = ActingSet(effects, "branch", settings, branch.name)
         self.parameters = bounded([*found, *self.acting.parameters], self.unknowns.box)
         self.tree = measured_tree(branch, spring, spring * self.TYPICAL_RELAXATION, self.unknowns.joints)
-        self._copies: dict[tuple[str, bytes], torch.Tensor] = {}
+        self._copies: dict[tuple[str, tuple[int, ...], bytes], torch.Tensor] = {}
         self.first = len(BELOW) if self.acting.has("base_compliance") else 0
         if self.first:
             self.tree = on_pivot(self.tree, self._pivot(branch), branch.gravity)
@@ -185,7 +186,7 @@ class BranchSystem:
     def _on(self, device: torch.device, array: Array) -> torch.Tensor:
         """Return the segments' rows of an array on a device, in float64, copied there once."""
         rows = np.ascontiguousarray(array[: self.branch.num_segments], dtype=np.float64)
-        key = (str(device), rows.tobytes())
+        key = (str(device), rows.shape, rows.tobytes())
         if key not in self._copies:
             self._copies[key] = torch.as_tensor(rows, device=device)
         return self._copies[key]
@@ -193,11 +194,7 @@ class BranchSystem:
     def _write_weight(self, share: torch.Tensor, tilt: torch.Tensor, model: Model, write: Write) -> None:
         """Write masses times ``share``, elevations plus ``tilt``, both [sets, R], and the pre-loads that hold them."""
         n, links = self.branch.num_segments, model.links
-
-        def fixed(array: Array) -> torch.Tensor:
-            """Return the first n rows of an array as a tensor where the unknowns are."""
-            return torch.as_tensor(array[:n], device=share.device)
-
+        fixed = partial(self._on, share.device)
         mass, frame = fixed(self.tree.mass[self.first :]) * share, fixed(links.frame[self.first :])
         world, turn = weight.turned_chain(fixed(axis_rotation(self.branch.elevation, self.branch.azimuth)), tilt)
         held = weight.holding_torque(
