@@ -1,5 +1,7 @@
 """Rollouts, likelihoods, their gradients and modes against closed forms."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -138,3 +140,19 @@ def test_nothing_is_simulated_past_the_end_of_a_box(tmp_path):
     assert bool(((tried >= 0.0) & (tried <= 1.0)).all())
     torch.testing.assert_close(tried.amax(1) - tried.amin(1), torch.tensor([0.005, 0.01, 0.005]).double())
     assert bool(derivative.isfinite().all()) and float(derivative[:, column].abs().amax()) > 0.0
+
+
+@pytest.mark.parametrize(("off", "lean"), [((0.3, -0.1), 5.0), ((-11.0, 0.0), -10.0), ((2.0, 4.0), 5.0)])
+def test_the_lean_holds_about_where_it_was_taken(off, lean):
+    """Add slope times distance within an e-fold, or half of a box; what lies farther is paid for no more than that.
+
+    At slopes of 10 and -20 a worse mode's damper, 11 e-folds down, would lean by -110 otherwise.
+    """
+    centre = torch.tensor([0.7, -0.2], dtype=torch.float64)
+    target = SimpleNamespace(
+        lean=(torch.tensor([10.0, -20.0], dtype=torch.float64), centre), num_noise=1, num_parameters=2,
+        reach=torch.tensor([1.0, 0.25], dtype=torch.float64), prior=lambda theta: 3.0,
+        _share=lambda noise: torch.ones(()),
+    )  # fmt: skip
+    theta = torch.cat([centre + torch.tensor(off, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)])
+    assert float(Target.beside(target, theta)) == pytest.approx(3.0 + lean)
