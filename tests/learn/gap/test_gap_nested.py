@@ -70,8 +70,8 @@ def inside(contest, generator, count):
     return contest.low + share * (contest.high - contest.low)
 
 
-def generate(contest, generator):
-    """Measure a new branch: random spring and damper, an effect or none, noise; return the truth's chi-squared."""
+def drawn(contest, generator):
+    """Return the clean motion of a new branch: random spring and damper, an effect or none."""
     truth = contest.base_batch(1)
     truth.free[:, : contest.num_base] += torch.as_tensor(generator.uniform(-1.0, 1.0, contest.num_base))
     if generator.random() < 0.5:
@@ -79,7 +79,17 @@ def generate(contest, generator):
         truth = activated(contest, truth, [[member]])
         own = list(contest.candidates[member].columns)
         truth.free[:, own] = inside(contest, generator, 1)[:, own]
-    clean = contest.simulate(contest.values(truth), truth.start)[0].double()
+    return contest.simulate(contest.values(truth), truth.start)[0].double()
+
+
+def generate(contest, generator):
+    """Measure a new branch with noise; draw again where its spring turns over and flings it at more than 20 m/s.
+
+    What chi-squared is of that, 1e11, hangs on the last bit of a motion that grows from it.
+    """
+    clean = drawn(contest, generator)
+    while clean.abs().max() > 20.0:
+        clean = drawn(contest, generator)
     sigma = contest.sigma.cpu().numpy()
     contest.measured = clean + torch.as_tensor(sigma * generator.standard_normal(clean.shape))
 
