@@ -42,6 +42,7 @@ EFFECT = register(
             strengths=("relative", "twist"),
             throughout=True,
             spatial=True,
+            alike=("bilinear_stiffness",),
         ),
     )
 )

@@ -102,6 +102,7 @@ EFFECT = register(
             mirror=other_side,
             further=_further,
             strengths=("relative",),
+            alike=("anisotropic_stiffness",),  # about its axis: what splits both ways
         ),
         joint=Law("joint", (_REL, _CORNER), bilinear_joint),
     )

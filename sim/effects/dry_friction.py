@@ -174,12 +174,14 @@ EFFECT = register(
             keeps="kept",
             holds=dry_friction_holds,
             further=_further,
+            alike=("hysteresis_boucwen",),
         ),
         joint=Law(
             "joint",
             (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL, _STRIBECK, _STRIBECK_AT_JOINT, _LOAD),
             dry_friction_at_joint,
             memory=1,
+            alike=("hysteresis_boucwen",),
         ),
     )
 )

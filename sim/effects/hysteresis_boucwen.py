@@ -125,7 +125,10 @@ EFFECT = register(
             holds=hysteresis_holds,
             keeps="kept",
             throughout=True,
+            alike=("plastic_set", "dry_friction"),
         ),
-        joint=Law("joint", (*_PARAMETERS, _STIFFENING), hysteresis_boucwen, memory=1, alike=("plastic_set",)),
+        joint=Law(
+            "joint", (*_PARAMETERS, _STIFFENING), hysteresis_boucwen, memory=1, alike=("plastic_set", "dry_friction")
+        ),
     )
 )

@@ -69,10 +69,15 @@ EFFECT = register(
         signature="the branch rests elsewhere after a large push, and later small pushes are as before",
         mistaken_for=("hysteresis_boucwen", "dry_friction", "partial_rupture", "viscoelastic_sls"),
         probe="a small push, a large one, the same small push again, with the gripper open in between",
+        # with kinematic hardening: one elastic slider, Bouc and Wen's of a large exponent, or one more of Iwan's
         branch=Law(
-            "joint", (_PARAMETERS[0], _YIELD, _PARAMETERS[2], _SEPARATE, _FLOW), plastic_set, memory=2, persistent=True
+            "joint",
+            (_PARAMETERS[0], _YIELD, _PARAMETERS[2], _SEPARATE, _FLOW),
+            plastic_set,
+            memory=2,
+            persistent=True,
+            alike=("hysteresis_boucwen",),
         ),
-        # with kinematic hardening: one elastic slider, Bouc and Wen's of a large exponent
         joint=Law("joint", _PARAMETERS, plastic_set, memory=2, alike=("hysteresis_boucwen",)),
     )
 )

@@ -9,7 +9,8 @@ from bough.learn.cases.case import JointCase
 from bough.learn.gap import decide
 from bough.learn.gap.models import memoryless
 from bough.learn.gap.models.fitted import FittedModels, Model
-from bough.learn.gap.models.memoryless import left_without_memory, memoryless_share, without_memory
+from bough.learn.gap.models.memoryless import beyond_angle, left_without_memory, memoryless_share, without_memory
+from bough.sim.effects import effect_of
 
 RUNS, SAMPLES = 3, 200
 
@@ -35,7 +36,7 @@ def left_by(law, size, noise=1.0, names=("dry_friction",), base=1e6):
         runs.append(SimpleNamespace(t=t, input=np.stack([q, w, np.gradient(w, t)], axis=1)))
         left.append(size * law(q, w, t + 20.0 * k) + noise * rng.standard_normal(SAMPLES))
     residual = torch.as_tensor(np.array(left))[None, :, :, None]
-    candidates = [SimpleNamespace(name=n, columns=(0,)) for n in names]
+    candidates = [SimpleNamespace(name=n, columns=(0,), law=effect_of(n).joint) for n in names]
     contest = SimpleNamespace(case=torque_case(), recordings=runs, num_samples=RUNS * SAMPLES, candidates=candidates,
                               residual=lambda _: residual)  # fmt: skip
 
@@ -76,21 +77,51 @@ def test_noise_is_no_function_of_the_motion():
     assert memoryless_share(quiet, quiet.models[0]) == 0.0
 
 
+def teeth(q, _w, _t):
+    """Return bumps of a twelfth of the swing that push back and then forth, one every 0.9 rad."""
+    x = ((q / 0.9 + 0.2) % 1.0 - 0.5) / 0.06
+    return -2.3 * x * np.exp(-(x**2))
+
+
+@pytest.mark.parametrize("beside", [None, teeth])
+def test_friction_is_no_function_of_the_angle(beside):
+    """Explain by friction what no function of the angle does, alone and beside teeth; nothing where there are teeth.
+
+    A model that takes 0.3 of what the teeth do off, as friction in their place did, explains nothing beyond them.
+    """
+    rubs = left_by(lambda q, w, t: 30.0 * np.sign(w) + 20.0 * (0.0 if beside is None else beside(q, w, t)), 1.0)
+    worn = left_by(teeth, 30.0)
+    for fitted, share in ((rubs, 0.95), (worn, 0.3)):
+        whole, at = fitted.contest.residual(None), fitted.contest.recordings
+        signs = torch.as_tensor(np.array([np.sign(r.input[:, 1]) for r in at]))[None, :, :, None]
+        own = (whole * signs).mean() * signs  # friction by least squares
+        less = whole - own if fitted is rubs else whole * (1.0 - share) ** 0.5
+        fitted.base.fit.batch, fitted.models[0].fit.batch = "base", "own"
+        fitted.contest.residual = {"base": whole, "own": less}.__getitem__
+    assert beyond_angle(rubs, rubs.models[0]) > 0.9
+    assert beyond_angle(worn, worn.models[0]) < 0.4
+
+
 @pytest.mark.parametrize(
-    "names, share, left, claimed",
+    "names, share, beyond, left, claimed",
     [
-        (("dry_friction",), 0.5, 0.04, True),  # a real arm's gears
-        (("dry_friction",), 0.5, 0.6, False),  # a seal that rubs in one place
-        (("dry_friction",), 0.3, 0.04, False),
-        (("dry_friction",), 0.9, 0.6, True),  # friction of another form
-        (("plastic_set",), 0.78, 0.0, False),  # a diode
-        (("dry_friction", "plastic_set"), 0.78, 0.0, False),
-        (("plastic_set",), 0.9, 0.0, True),
+        (("dry_friction",), 0.5, 0.5, 0.04, True),  # a real arm's gears
+        (("dry_friction",), 0.5, 0.9, 0.6, False),  # a seal that rubs in one place
+        (("dry_friction",), 0.5, 0.2, 0.04, False),  # worn teeth
+        (("dry_friction",), 0.3, 0.9, 0.04, False),
+        (("dry_friction",), 0.9, 0.0, 0.6, True),  # friction of another form
+        (("plastic_set",), 0.78, 0.9, 0.0, False),  # a diode
+        (("dry_friction", "plastic_set"), 0.78, 0.9, 0.0, False),
+        (("plastic_set",), 0.9, 0.0, 0.0, True),
     ],
 )
-def test_only_friction_is_named_beside_a_large_rest(monkeypatch, names, share, left, claimed):
-    """Name friction for less than other laws, unless what it leaves is a function of angle and rate."""
+def test_only_friction_is_named_beside_a_large_rest(monkeypatch, names, share, beyond, left, claimed):
+    """Name friction for less than other laws, unless what it leaves is a function of angle and rate.
+
+    Or unless a function of the angle does as well.
+    """
     monkeypatch.setattr(decide, "memoryless_share", lambda fitted, model: left)
+    monkeypatch.setattr(decide, "beyond_angle", lambda fitted, model: beyond)
     fitted = left_by(spot, 30.0, names=names)
     own = fitted.models[0]
     excess = (own.chi2 - fitted.contest.num_samples) / (1.0 - share)
@@ -108,10 +139,13 @@ def test_only_friction_is_named_beside_a_large_rest(monkeypatch, names, share, l
         (("plastic_set",), 0.96, True),
         (("dry_friction", "plastic_set"), 0.78, False),
         (("dry_friction", "dry_friction"), 0.78, True),
+        (("force_scale",), 0.97, False),  # a belt that swings
+        (("force_scale",), 0.998, True),
+        (("plastic_set", "force_scale"), 0.96, True),  # the loop has another form
     ],
 )
 def test_friction_of_a_replay_is_named_for_less_than_other_laws(names, share, claimed):
-    """Name friction at one joint or at several for three quarters of the excess, other laws for 0.95 of it."""
+    """Name friction at joints for three quarters of the excess, others for 0.95, a sensor alone for nearly all."""
     fitted = left_by(spot, 60.0, names=names)
     own, fitted.contest.case = fitted.models[0], torque_case("replay")
     samples = fitted.contest.num_samples

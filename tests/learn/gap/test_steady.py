@@ -5,14 +5,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from bough.learn.cases.case import BranchCase
 from bough.learn.gap import steady
-from bough.learn.gap.decide import Decision, alike
+from bough.learn.gap.decide import Decision, alike, chosen
 from bough.learn.gap.diagnosis import Settings
+from bough.learn.gap.models.candidates import Candidate
 from bough.learn.gap.models.fitted import FittedModels, Model
 from bough.learn.gap.search import Searched
 from bough.learn.gap.steady import Variant, shows_less, steadied, with_akin
 from bough.learn.systems.acting import Acting
-from bough.sim.effects import EffectParameter
+from bough.sim.effects import EffectParameter, effect_of
 
 SAMPLES, FIRST, SECOND, OTHER = 1000, 0, 1, 2
 
@@ -61,11 +63,35 @@ def test_what_is_the_same_in_principle_is_an_alternative():
     assert found == {"loop": ("drag", "set"), "play": ()}
 
 
-def test_a_set_takes_a_loop_s_place_at_its_own_joint_alone():
-    """Call a set and a loop the same in principle at one joint, neither way at two, and a drag nowhere."""
-    loop = Acting("hysteresis_boucwen", 0)
-    assert alike(loop, Acting("plastic_set", 0)) and alike(Acting("plastic_set", 0), loop)
-    assert not any(alike(loop, a) for a in (Acting("plastic_set", 1), Acting("quadratic_drag", 0), loop))
+def at(name, joint, form):
+    """Return a law at a joint as a candidate."""
+    return Candidate(Acting(name, joint), (), effect_of(name).law(form))
+
+
+@pytest.mark.parametrize(("form", "first", "second"), [
+    ("joint", "hysteresis_boucwen", "plastic_set"),
+    ("branch", "hysteresis_boucwen", "plastic_set"),
+    ("joint", "dry_friction", "hysteresis_boucwen"),
+    ("branch", "dry_friction", "hysteresis_boucwen"),
+    ("branch", "bilinear_stiffness", "anisotropic_stiffness"),
+])  # fmt: skip
+def test_a_law_takes_another_s_place_at_its_own_joint_alone(form, first, second):
+    """Call sets, loops and friction, two springs along an axis, the same in principle at one joint, not at two."""
+    own, other = at(first, 0, form), at(second, 0, form)
+    assert alike(own, other) and alike(other, own)
+    assert not any(alike(own, a) for a in (at(second, 1, form), at("cubic_stiffness", 0, form), own))
+
+
+def test_a_law_that_corrects_another_s_form_is_no_second_effect():
+    """Leave a set beside a loop at one joint of a branch out, however much it explains; not one at another joint."""
+    laws = [at("hysteresis_boucwen", 0, "branch"), at("plastic_set", 0, "branch"), at("plastic_set", 1, "branch")]
+    contest = SimpleNamespace(num_samples=1000, candidates=laws, case=object.__new__(BranchCase))
+
+    models = [model(chi2, *own) for chi2, own in ((1200.0, (0,)), (1010.0, (0, 1)), (1020.0, (0, 2)))]
+    fitted = FittedModels(contest, model(3000.0), models)
+    assert chosen(fitted, 2).members == (0, 2)
+    del fitted.models[-1]
+    assert chosen(fitted, 2).members == (0,)
 
 
 # ---- a name that another treatment takes back ------------------------------------------------------------------------
@@ -75,7 +101,9 @@ LAWS = (Acting("dry_friction", 0), Acting("quadratic_drag", 0))
 
 def of_joints(*left):
     """Return models of one law each at joints that leave ``left`` of a base's 9000."""
-    candidates = [SimpleNamespace(name=a.name, acting=a, columns=(), specs=()) for a in LAWS]
+    candidates = [
+        SimpleNamespace(name=a.name, acting=a, columns=(), specs=(), law=effect_of(a.name).law("joint")) for a in LAWS
+    ]
     contest = SimpleNamespace(num_samples=SAMPLES, candidates=candidates, case=SimpleNamespace(trajectories=(0, 1)))
     return FittedModels(contest, model(9000.0), [model(chi2, k) for k, chi2 in enumerate(left)])
 
