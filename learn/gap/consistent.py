@@ -345,7 +345,8 @@ def _beside(d: Diagnosis) -> str:
 def _unknown(d: Diagnosis) -> str:
     if d.unstable:
         return f"No effect is named, since the verdict hangs on how the data are treated: {d.unstable[0]}."
-    first = "Something is missing that these data cannot name" if significant(d) else "These data name no effect"
+    seen = significant(d) or d.memoryless > 0.0
+    first = "Something is missing that these data cannot name" if seen else "These data name no effect"
     if not d.tried and d.nearest is None:
         return f"{first}: no candidate could be fitted."
     what = together(d.tried) or d.nearest

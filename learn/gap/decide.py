@@ -20,7 +20,7 @@ from .models.certain import doubtful
 from .models.contest import Contest
 from .models.fitted import FURTHER, QUIET, FittedModels, Model, penalty
 from .models.left_out import fitted_chi2, left_out_chi2, profiles, without_event
-from .models.memoryless import MEMORYLESS, QUIET_TORQUE, beyond_angle, memoryless_share
+from .models.memoryless import MEMORYLESS, QUIET_TORQUE, beyond_angle, memoryless_share, of_the_angle
 from .prepare import Base
 from .search import Searched
 
@@ -153,7 +153,8 @@ def _verdict(base: Base, searched: Searched, model: Model, tolerance: float) -> 
     small = searched.p_value > ALARM or size(models, model, base.motion) < tolerance
     small = small or within_noise(models.contest.case, models.reduced_chi2(models.base))
     if small and not lacks_fit(models, tolerance * base.motion):
-        return "none", ()
+        gained = of_the_angle(models, models.base) / models.contest.num_samples
+        return "unknown" if np.sqrt(gained) > tolerance * base.motion else "none", ()
     off = doubtful(models, model)
     claimed = not off and not at_an_end(models, model) and known(models, model)
     return "effects" if claimed else "unknown", off
@@ -251,14 +252,16 @@ def pays(fitted: FittedModels, model: Model, inner: Model) -> bool:
     """Return whether a model predicts recordings that it was not fitted to better than one with an effect less.
 
     Of what it gains where it is fitted it must keep the share `KEPT` there, and in no experiment may it do harm: a law
-    that stands in for another pays for one kind of push with another. The experiment in which something breaks is not
-    left out. True where nothing can be left out: branches with replicates of one experiment alone, and joints, whose
-    recordings left out have no start state of their own; `steady` asks every other recording for the name there.
+    that stands in for another pays for one kind of push with another. The experiment in which something breaks or sets
+    in is not left out. True where nothing can be left out: branches with replicates of one experiment alone, and
+    joints, whose recordings left out have no start state of their own; `steady` asks every other recording there.
     """
     contest, groups = fitted.contest, profiles(fitted.contest)
     if not isinstance(contest.case, BranchCase) or len(groups) < 2:
         return True
-    rest = without_event(contest, sorted(set(model.members) - set(inner.members)), model, groups)
+    rest = without_event(contest, (model, inner), groups)
+    if not rest:
+        return True
     outer, less = left_out_chi2(contest, [model, inner], rest)
     own, other = fitted_chi2(contest, [model, inner], rest)
     return bears_out((less - outer).tolist(), float((other - own).sum()))

@@ -86,8 +86,8 @@ def intervals(
 ) -> Intervals:
     """Return medians and 95 % intervals of the named effects' parameters, by the posterior or the curvature at the fit.
 
-    Medians are the repaired model's values. No end of an interval is outside the box of a parameter that has one. What
-    does nothing and was not fitted has none.
+    Medians are the repaired model's values. No end of an interval is outside its parameter's box. What does nothing and
+    was not fitted has none.
     """
     if decision.verdict != "effects":
         return {}
@@ -102,7 +102,7 @@ def intervals(
         for spec, k in ((s, k) for s, k in columns if fitted.active[0, k]):
             p, free = contest.parameters[k], float(fitted.free[0, k])
             row = ends[p.name] if ends else _by_curvature(p, values[k], free, widths[k])
-            own[spec.name] = Interval(*row, p.unit, at_bound(p, free, row))
+            own[spec.name] = Interval(*_boxed(p, row), p.unit, at_bound(p, free, row))
     return out
 
 
@@ -112,10 +112,18 @@ def _rows(posterior: Posterior) -> dict[str, tuple[float, float, float]]:
 
 
 def _by_curvature(p: Parameter, value: float, free: float, spread: float) -> tuple[float, float, float]:
-    """Return value and ends of an interval; beyond an end of the box there is nothing to be told."""
-    ends = max(free - 1.96 * spread, p.free(p.low)), min(free + 1.96 * spread, p.free(p.high))
-    low, high = (float(np.exp(x)) if p.scale == "log" else x for x in ends)
+    """Return value and ends of an interval."""
+    low, high = (float(np.exp(x)) if p.scale == "log" else x for x in (free - 1.96 * spread, free + 1.96 * spread))
     return value, low, high
+
+
+def _boxed(p: Parameter, row: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return a median and ends of an interval inside a parameter's box: beyond its ends there is nothing to be told.
+
+    Particles of a parameter on a logarithmic scale may leave it, such as of a bend that may be anything.
+    """
+    middle, low, high = row
+    return middle, min(middle, max(low, p.low)), max(middle, min(high, p.high))
 
 
 def at_bound(p: Parameter, free: float, row: tuple[float, float, float]) -> Bound:

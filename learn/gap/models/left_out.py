@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import torch
 
-from ....sim.effects import effect_of
 from .contest import Batch, Contest
 from .fitted import Model
 from .refit import Fits, fit
@@ -42,18 +41,25 @@ def fitted_chi2(contest: Contest, models: Sequence[Model], groups: Sequence[Sequ
     return torch.stack([by_recording[:, list(group)].sum(-1) for group in groups], 1)
 
 
-def without_event(contest: Contest, added: Sequence[int], model: Model, groups: list[list[int]]) -> list[list[int]]:
-    """Return the groups in which none of a model's ``added`` effects happens once and for good.
+def without_event(contest: Contest, models: Sequence[Model], groups: list[list[int]]) -> list[list[int]]:
+    """Return the groups in which, or just before which, no law of the models sets in or breaks.
 
-    When it happened cannot be known without the recording in which it did, whatever the other recordings say.
+    When that was cannot be known without the recording in which it was, whatever the other recordings say. A wind that
+    fell between two recordings shows in the second by how the branch still sways.
     """
-    values = contest.values(model.fit.batch)[0]
-    laws = {c: effect_of(contest.candidates[c].name).law("branch") for c in added}
-    moments = [float(values[k]) for c, law in laws.items()
-               for k, spec in zip(contest.candidates[c].columns, contest.candidates[c].specs, strict=True)
-               if spec.name == law.moment]  # fmt: skip
-    spans = [(r.t_start + r.t[0], r.t_start + r.t[-1]) for r in contest.recordings]
-    return [g for g in groups if not any(spans[i][0] <= t <= spans[i][1] for i in g for t in moments)]
+    ends = [float(r.t_start + r.t[-1]) for r in contest.recordings]
+    moments = [t for m in models for t in _moments(contest, m) if t <= max(ends)]
+    shown = {min((end, i) for i, end in enumerate(ends) if t <= end)[1] for t in moments}
+    return [g for g in groups if not shown.intersection(g)]
+
+
+def _moments(contest: Contest, model: Model) -> list[float]:
+    """Return the moments on the absolute clock [s] at which laws of a model set in or break."""
+    batch = model.fit.batch
+    values = contest.values(batch)[0]
+    own = [contest.candidates[c] for c in model.members]
+    return [float(values[k]) for c in own for k, spec in zip(c.columns, c.specs, strict=True)
+            if spec.name == c.law.moment and bool(batch.active[0, k])]  # fmt: skip
 
 
 def _by_recording(contest: Contest, fitted: Fits) -> torch.Tensor:

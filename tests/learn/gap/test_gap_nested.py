@@ -312,12 +312,29 @@ def test_a_break_need_not_be_foreseen(branch):
         both, one = models(size, seed)
         return pays(FittedModels(contest, one, [one, both]), both, one)
 
-    both, _ = models(0.3, 0)
+    both, one = models(0.3, 0)
     groups = [[i] for i in range(8)]
-    assert without_event(contest, [broken], both, groups) == [g for g in groups if g != [3]]
-    assert without_event(contest, [scale], both, groups) == groups
+    assert without_event(contest, [both], groups) == [g for g in groups if g != [3]]
+    assert without_event(contest, [one], groups) == groups
     assert all(pay(0.3, seed) for seed in range(3))
     assert sum(pay(0.0, seed) for seed in range(8)) < 4
+
+
+def test_an_event_shows_in_the_recording_after_it(branch):
+    """Leave no experiment out at whose beginning a branch may still sway from what was just before it.
+
+    A wind that never changes has no moment.
+    """
+    contest = contest_on(branch, 8, ("steady_wind",))
+    groups, batch = [[0, 5], [1], [2], [3], [4], [6], [7]], activated(contest, contest.base_batch(1), [(0,)])
+    (column,) = (k for k, p in enumerate(contest.parameters) if p.name.endswith("moment_s"))
+    for before, left in ((0, groups[1:]), (5, groups[1:]), (3, [g for g in groups if g != [3]])):
+        batch.free[0, column] = contest.recordings[before].t_start - 0.1
+        assert without_event(contest, [Model((0,), evaluated(contest, batch))], groups) == left
+    batch.free[0, column] = contest.recordings[-1].t_start + 1e3
+    assert without_event(contest, [Model((0,), evaluated(contest, batch))], groups) == groups
+    batch.free[0, column], batch.active[0, column] = 0.0, False
+    assert without_event(contest, [Model((0,), evaluated(contest, batch))], groups) == groups
 
 
 @pytest.mark.parametrize(

@@ -17,12 +17,13 @@ from bough.learn.gap.models.fitted import FittedModels, Model, overdispersion
 from bough.learn.gap.models.idle import lean
 from bough.learn.gap.models.refit import fit
 from bough.learn.gap.models.unclaimed import unclaimed
-from bough.learn.gap.posterior import intervals, posterior_of
+from bough.learn.gap.posterior import _boxed, intervals, posterior_of
 from bough.learn.gap.run import Run, silent
 from bough.learn.hidden.joints import hide
 from bough.learn.inference.identify import pooled_sigma, split
 from bough.learn.replay.equation_error import noise_of, recordings_of, thinned
 from bough.learn.runs.threads import one_thread
+from bough.learn.systems.system import Parameter
 
 #: Laws whose parameter the registry shares.
 SHARED = ("coulomb", "duffing", "dead_zone", "maxwell", "rayleigh", "scaled", "dahl", "lopsided")
@@ -115,6 +116,19 @@ def test_particles_spread_as_far_as_recordings_differ(tmp_path, label, beside, s
         curved, sampled = (r[name] for r in rows)
         assert sampled.low <= truth <= sampled.high
         assert np.log(sampled.high / sampled.low) == pytest.approx(np.log(curved.high / curved.low), rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("row", "kept"),
+    [
+        ((0.02, 0.01, 0.04), (0.02, 0.01, 0.04)),
+        ((0.09, 2e-4, 42.0), (0.09, 1e-3, 0.1)),  # a bend of which particles say nothing
+        ((0.11, 0.05, 42.0), (0.11, 0.05, 0.11)),  # a median at the end: an interval holds it
+    ],
+)
+def test_an_interval_ends_with_its_box(row, kept):
+    """Tell nothing beyond the box of a parameter on a logarithmic scale."""
+    assert _boxed(Parameter("bend", "rad", 1e-3, 0.1, "log"), row) == kept
 
 
 def widths(contest, decision, train, name):

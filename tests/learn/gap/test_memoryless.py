@@ -9,7 +9,13 @@ from bough.learn.cases.case import JointCase
 from bough.learn.gap import decide
 from bough.learn.gap.models import memoryless
 from bough.learn.gap.models.fitted import FittedModels, Model
-from bough.learn.gap.models.memoryless import beyond_angle, left_without_memory, memoryless_share, without_memory
+from bough.learn.gap.models.memoryless import (
+    beyond_angle,
+    left_without_memory,
+    memoryless_share,
+    of_the_angle,
+    without_memory,
+)
 from bough.sim.effects import effect_of
 
 RUNS, SAMPLES = 3, 200
@@ -100,6 +106,34 @@ def test_friction_is_no_function_of_the_angle(beside):
         fitted.contest.residual = {"base": whole, "own": less}.__getitem__
     assert beyond_angle(rubs, rubs.models[0]) > 0.9
     assert beyond_angle(worn, worn.models[0]) < 0.4
+
+
+@pytest.mark.parametrize(
+    ("law", "size", "seen"),
+    [
+        (teeth, 2.0, True),
+        (lambda q, w, t: np.sin(1.3 * q), 0.7, True),  # a pull off centre
+        (teeth, 0.0, False),
+        (lambda q, w, t: np.sin(7.3 * t), 0.9, False),
+    ],
+)
+def test_cogging_within_the_noise_is_something(law, size, seen):
+    """Say unknown, not none, where a function of the angle predicts torques left out that pass for noise in all.
+
+    A replay is not asked, nor is a change of the motion below the tolerance.
+    """
+    fitted = left_by(law, size)
+    left = fitted.models[0]
+    assert left.chi2 < 1.5 * fitted.contest.num_samples and (of_the_angle(fitted, left) > 0.0) is seen
+    fitted = FittedModels(fitted.contest, left, [left])
+    base, searched = SimpleNamespace(unusable=None, motion=50.0), SimpleNamespace(fitted=fitted, p_value=1.0)
+    assert decide._verdict(base, searched, left, 0.0055)[0] == ("unknown" if seen else "none")
+    assert decide._verdict(base, searched, left, 0.1)[0] == "none"
+    if seen:
+        (text,) = without_memory(left_without_memory(fitted, left))
+        assert "function of the joint's angle and rate" in text
+    fitted.contest.case = torque_case("replay")
+    assert of_the_angle(fitted, left) == 0.0
 
 
 @pytest.mark.parametrize(
