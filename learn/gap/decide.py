@@ -307,9 +307,9 @@ def chosen(fitted: FittedModels, most: int) -> Model:
     return widest
 
 
-def alike(a: Candidate, b: Candidate) -> bool:
-    """Return whether two effects are the same in principle (`Law.alike`), at one joint."""
-    return a.acting.joint == b.acting.joint and b.name in a.law.alike
+def alike(a: Acting, b: Acting) -> bool:
+    """Return whether two effects are the same in principle (`Effect.alike`), at one joint."""
+    return a.joint == b.joint and b.name in effect_of(a.name).alike
 
 
 def _doubled(fitted: FittedModels, model: Model) -> bool:
@@ -318,8 +318,8 @@ def _doubled(fitted: FittedModels, model: Model) -> bool:
     A set or friction beside a loop is a slider more, an anisotropic spring beside a one-sided one its other way or its
     corner: they correct a law's form, and are not missing beside it.
     """
-    own = [fitted.contest.candidates[c] for c in model.members]
-    return any(alike(a, b) for a in own for b in own)
+    acting = fitted.acting(model)
+    return any(alike(a, b) for a in acting for b in acting)
 
 
 def _worth_more(fitted: FittedModels, best: Model, trial: Model) -> bool:

@@ -87,9 +87,9 @@ def steadied(base: Base, searched: Searched, decision: Decision, run: Run) -> De
         gone = _gone(searched, decision, variant, again, fitted, kept)
         lost = []
         for c in gone:
-            own = searched.fitted.contest.candidates[c]
-            same = {a.name for a in map(fitted.contest.candidates.__getitem__, again.model.members) if alike(own, a)}
-            akin.setdefault(own.acting.label, set()).update(same)
+            own = searched.fitted.contest.candidates[c].acting
+            same = {a.name for a in fitted.acting(again.model) if alike(own, a)}
+            akin.setdefault(own.label, set()).update(same)
             lost += [] if same else [c]
         if lost or (again.verdict == "effects" and not decision.named):
             told = f"{variant.what} gives {' and '.join(fitted.names(again.model))}"

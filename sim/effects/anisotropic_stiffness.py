@@ -30,6 +30,7 @@ EFFECT = register(
         " & Jayne, Mechanics of Wood and Wood Composites (1982), chapter 3",
         signature="pushes across the principal axes come back sideways; two frequencies in two planes",
         mistaken_for=("bilinear_stiffness", "bending_torsion_coupling"),
+        alike=("bilinear_stiffness",),
         probe="releases in three directions about the segment",
         branch=Law(
             "joint",
@@ -42,7 +43,6 @@ EFFECT = register(
             strengths=("relative", "twist"),
             throughout=True,
             spatial=True,
-            alike=("bilinear_stiffness",),
         ),
     )
 )

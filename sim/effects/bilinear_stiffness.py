@@ -94,6 +94,7 @@ EFFECT = register(
         source="Shaw & Holmes 1983, J. Sound Vib. 90:129; corner rounded",
         signature="pushes to the two sides differ in stiffness; releases swing with unequal half periods",
         mistaken_for=("cubic_stiffness", "anisotropic_stiffness", "backlash"),
+        alike=("anisotropic_stiffness",),  # about its axis: what splits both ways
         probe="the same push and release in opposite directions, in two planes",
         branch=Law(
             "joint",
@@ -102,7 +103,6 @@ EFFECT = register(
             mirror=other_side,
             further=_further,
             strengths=("relative",),
-            alike=("anisotropic_stiffness",),  # about its axis: what splits both ways
         ),
         joint=Law("joint", (_REL, _CORNER), bilinear_joint),
     )

@@ -164,6 +164,7 @@ EFFECT = register(
         " 30:1083; growing with the load as in Hamon, Gautier & Garrec 2010, IROS",
         signature="oscillations decay in a straight line and stop off centre; loops keep their width however slow",
         mistaken_for=("hysteresis_boucwen", "plastic_set", "quadratic_drag"),
+        alike=("hysteresis_boucwen",),
         probe="releases from a large and a small deflection; a slow triangle of force both ways",
         branch=Law(
             "joint",
@@ -174,14 +175,12 @@ EFFECT = register(
             keeps="kept",
             holds=dry_friction_holds,
             further=_further,
-            alike=("hysteresis_boucwen",),
         ),
         joint=Law(
             "joint",
             (_TORQUE_AT_JOINT, _BEND_AT_JOINT, _GRADUAL, _STRIBECK, _STRIBECK_AT_JOINT, _LOAD),
             dry_friction_at_joint,
             memory=1,
-            alike=("hysteresis_boucwen",),
         ),
     )
 )

@@ -114,6 +114,7 @@ EFFECT = register(
         " side by side as Iwan 1966, J. Appl. Mech. 33:893",
         signature="loops of force over displacement that are as wide slow as fast; stiffer after each reversal",
         mistaken_for=("dry_friction", "viscoelastic_sls", "plastic_set"),
+        alike=("plastic_set", "dry_friction"),
         probe="the same triangle of force at two speeds; a small loop inside a large one",
         branch=Law(
             "joint",
@@ -125,10 +126,7 @@ EFFECT = register(
             holds=hysteresis_holds,
             keeps="kept",
             throughout=True,
-            alike=("plastic_set", "dry_friction"),
         ),
-        joint=Law(
-            "joint", (*_PARAMETERS, _STIFFENING), hysteresis_boucwen, memory=1, alike=("plastic_set", "dry_friction")
-        ),
+        joint=Law("joint", (*_PARAMETERS, _STIFFENING), hysteresis_boucwen, memory=1),
     )
 )

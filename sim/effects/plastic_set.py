@@ -70,14 +70,10 @@ EFFECT = register(
         mistaken_for=("hysteresis_boucwen", "dry_friction", "partial_rupture", "viscoelastic_sls"),
         probe="a small push, a large one, the same small push again, with the gripper open in between",
         # with kinematic hardening: one elastic slider, Bouc and Wen's of a large exponent, or one more of Iwan's
+        alike=("hysteresis_boucwen",),
         branch=Law(
-            "joint",
-            (_PARAMETERS[0], _YIELD, _PARAMETERS[2], _SEPARATE, _FLOW),
-            plastic_set,
-            memory=2,
-            persistent=True,
-            alike=("hysteresis_boucwen",),
+            "joint", (_PARAMETERS[0], _YIELD, _PARAMETERS[2], _SEPARATE, _FLOW), plastic_set, memory=2, persistent=True
         ),
-        joint=Law("joint", _PARAMETERS, plastic_set, memory=2, alike=("hysteresis_boucwen",)),
+        joint=Law("joint", _PARAMETERS, plastic_set, memory=2),
     )
 )

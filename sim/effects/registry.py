@@ -193,7 +193,6 @@ class Law:
         keeps: Name of the parameter that is the share of a persistent memory which outlasts a recording; empty where
             all of it does.
         follows: Whether the torque at a joint follows its angle at rest, by the stiffness that the law returns.
-        alike: Names of effects that are the same in principle: a limit of this law, or what it is a limit of.
         throughout: Whether wood has it along a whole branch, so that every joint may have its own.
         spatial: Whether a planar case shows nothing of it: what bends in one plane has one stiffness, and no twist.
     """
@@ -215,7 +214,6 @@ class Law:
     strengths: tuple[str, ...] = ()
     keeps: str = ""
     follows: bool = False
-    alike: tuple[str, ...] = ()
     throughout: bool = False
     spatial: bool = False
 
@@ -238,6 +236,8 @@ class Effect:
         probe: What tells them apart.
         branch, joint: How it acts in either form of case; None where it does not.
         plain: What the model lacks in words that need no book, such as ``air drag``; the name where it is empty.
+        alike: Names of effects that are the same in principle at one joint: a limit of this one, or what it is a limit
+            of.
     """
 
     name: str
@@ -249,6 +249,7 @@ class Effect:
     branch: Law | None = None
     joint: Law | None = None
     plain: str = ""
+    alike: tuple[str, ...] = ()
 
     def law(self, form: Form) -> Law:
         """Return how the effect acts in a form of case.

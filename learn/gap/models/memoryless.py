@@ -38,8 +38,8 @@ def memoryless_share(fitted: FittedModels, model: Model) -> float:
     excess = model.chi2 - fitted.contest.num_samples
     if excess <= 0.0:
         return 0.0
-    left = [(_splines(angle, rate), y, fold) for angle, rate, y, fold in _joints(fitted, model)]
-    return sum(max(0.0, float((y**2).sum()) - _left_out(x, y, fold)) for x, y, fold in left) / excess
+    gained = (float((y**2).sum()) - _left_out(_splines(q, w), y, fold) for q, w, y, fold in _joints(fitted, model))
+    return sum(gained) / excess
 
 
 def beyond_angle(fitted: FittedModels, model: Model) -> float:
@@ -59,8 +59,8 @@ def beyond_angle(fitted: FittedModels, model: Model) -> float:
 
 
 def _without_angle(angle: Array, rate: Array, y: Array, fold: Array, count: int) -> float:
-    """Return the squares of residuals that a function of the angle of so many splines leaves, or all where it harms."""
-    return min(_left_out(_basis(angle, count), y, fold), float((y**2).sum()))
+    """Return the squares of residuals that a function of the angle of so many splines leaves on stretches left out."""
+    return _left_out(_basis(angle, count), y, fold)
 
 
 def of_the_angle(fitted: FittedModels, model: Model) -> float:
@@ -129,7 +129,7 @@ def _basis(x: Array, count: int) -> Array:
 
 
 def _left_out(x: Array, y: Array, fold: Array) -> float:
-    """Return the sum of squares that is left on stretches which were left out, with the best ridge."""
+    """Return the sum of squares that is left on stretches which were left out, with the best ridge; or all of it."""
     left = np.zeros(len(RIDGES))
     for k in np.unique(fold):
         own = fold == k
@@ -138,4 +138,4 @@ def _left_out(x: Array, y: Array, fold: Array) -> float:
         for i, ridge in enumerate(RIDGES):
             weights = np.linalg.solve(gram + ridge * np.eye(x.shape[1]), moment)
             left[i] += float(((y[own] - outer @ weights) ** 2).sum())
-    return float(left.min())
+    return float(min(left.min(), (y**2).sum()))

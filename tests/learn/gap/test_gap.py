@@ -261,7 +261,7 @@ def field_of(chi2, base=3000.0, samples=1000):
     """Return a fitted in which models have the given squares: {members: chi2}."""
     names = ["dry_friction", "hysteresis_boucwen", "tip_mass"]
     candidates = [
-        Candidate(SimpleNamespace(name=n, joint=k, label=n, known={}), (k,), SimpleNamespace(parameters=(), alike=()))
+        Candidate(SimpleNamespace(name=n, joint=k, label=n, known={}), (k,), SimpleNamespace(parameters=()))
         for k, n in enumerate(names)
     ]
     contest = SimpleNamespace(num_samples=samples, candidates=candidates, case=object.__new__(BranchCase))

@@ -63,30 +63,23 @@ def test_what_is_the_same_in_principle_is_an_alternative():
     assert found == {"loop": ("drag", "set"), "play": ()}
 
 
-def at(name, joint, form):
-    """Return a law at a joint as a candidate."""
-    return Candidate(Acting(name, joint), (), effect_of(name).law(form))
-
-
-@pytest.mark.parametrize(("form", "first", "second"), [
-    ("joint", "hysteresis_boucwen", "plastic_set"),
-    ("branch", "hysteresis_boucwen", "plastic_set"),
-    ("joint", "dry_friction", "hysteresis_boucwen"),
-    ("branch", "dry_friction", "hysteresis_boucwen"),
-    ("branch", "bilinear_stiffness", "anisotropic_stiffness"),
+@pytest.mark.parametrize(("first", "second"), [
+    ("hysteresis_boucwen", "plastic_set"),
+    ("dry_friction", "hysteresis_boucwen"),
+    ("bilinear_stiffness", "anisotropic_stiffness"),
 ])  # fmt: skip
-def test_a_law_takes_another_s_place_at_its_own_joint_alone(form, first, second):
+def test_a_law_takes_another_s_place_at_its_own_joint_alone(first, second):
     """Call sets, loops and friction, two springs along an axis, the same in principle at one joint, not at two."""
-    own, other = at(first, 0, form), at(second, 0, form)
+    own, other = Acting(first, 0), Acting(second, 0)
     assert alike(own, other) and alike(other, own)
-    assert not any(alike(own, a) for a in (at(second, 1, form), at("cubic_stiffness", 0, form), own))
+    assert not any(alike(own, a) for a in (Acting(second, 1), Acting("cubic_stiffness", 0), own))
 
 
 def test_a_law_that_corrects_another_s_form_is_no_second_effect():
     """Leave a set beside a loop at one joint of a branch out, however much it explains; not one at another joint."""
-    laws = [at("hysteresis_boucwen", 0, "branch"), at("plastic_set", 0, "branch"), at("plastic_set", 1, "branch")]
+    places = [Acting("hysteresis_boucwen", 0), Acting("plastic_set", 0), Acting("plastic_set", 1)]
+    laws = [Candidate(a, (), effect_of(a.name).law("branch")) for a in places]
     contest = SimpleNamespace(num_samples=1000, candidates=laws, case=object.__new__(BranchCase))
-
     models = [model(chi2, *own) for chi2, own in ((1200.0, (0,)), (1010.0, (0, 1)), (1020.0, (0, 2)))]
     fitted = FittedModels(contest, model(3000.0), models)
     assert chosen(fitted, 2).members == (0, 2)
@@ -101,9 +94,7 @@ LAWS = (Acting("dry_friction", 0), Acting("quadratic_drag", 0))
 
 def of_joints(*left):
     """Return models of one law each at joints that leave ``left`` of a base's 9000."""
-    candidates = [
-        SimpleNamespace(name=a.name, acting=a, columns=(), specs=(), law=effect_of(a.name).law("joint")) for a in LAWS
-    ]
+    candidates = [SimpleNamespace(name=a.name, acting=a, columns=(), specs=()) for a in LAWS]
     contest = SimpleNamespace(num_samples=SAMPLES, candidates=candidates, case=SimpleNamespace(trajectories=(0, 1)))
     return FittedModels(contest, model(9000.0), [model(chi2, k) for k, chi2 in enumerate(left)])
 
